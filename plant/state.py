@@ -1,0 +1,125 @@
+"""State of the crank-angle plant between two events: kept, copied, saved and restored."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from ._layout import CYLINDER_COLUMNS, MANIFOLD_ENTRIES
+from .errors import ParameterError
+from .kinematics import FloatArray
+from .parameters import Engine
+
+_FORMAT = "camless-ctrl plant state 1"
+
+
+def fingerprint(engine: Engine, **options: Any) -> str:
+    """Short hash that tells engines and plant options apart."""
+    text = json.dumps({"engine": asdict(engine), **options}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class PlantState:
+    """State at the start of an event window; immutable.
+
+    Attributes
+    ----------
+    event_index : int
+        Number of events since the start; cylinder ``event_index % n`` opens next.
+    event_advance_deg : float
+        Crank angle by which an event window starts before its cylinder's TDC.
+    time : float
+        Time since the start, s.
+    cylinders : ndarray (n, columns)
+        One row a cylinder: valve motion, mass, runner, work and last results.
+    manifold : ndarray
+        Air mass (kg), throttle flow integrated since the start (kg), throttle flow (kg/s).
+    plant : str
+        Fingerprint of the plant that it belongs to.
+    """
+
+    event_index: int
+    event_advance_deg: float
+    time: float
+    cylinders: FloatArray
+    manifold: FloatArray
+    plant: str
+
+    def __post_init__(self) -> None:
+        for name in ("cylinders", "manifold"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the state to a JSON file, exactly; the file appears whole or not at all."""
+        content = {
+            "format": _FORMAT,
+            "plant": self.plant,
+            "event_index": self.event_index,
+            "event_advance_deg": self.event_advance_deg,
+            "time": self.time,
+            "cylinders": self.cylinders.tolist(),
+            "manifold": self.manifold.tolist(),
+        }
+        write_text(Path(path), json.dumps(content, indent=1))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a state that `save` wrote.
+
+        Raises
+        ------
+        ParameterError
+            If the file is not a plant state.
+        OSError
+            If it cannot be read.
+        """
+        text = Path(path).read_text(encoding="utf-8")
+        try:
+            content = json.loads(text)
+            if content["format"] != _FORMAT:
+                raise ParameterError(f"{path} has format {content['format']!r}, not {_FORMAT!r}")
+            state = cls(
+                event_index=int(content["event_index"]),
+                event_advance_deg=float(content["event_advance_deg"]),
+                time=float(content["time"]),
+                cylinders=np.array(content["cylinders"], dtype=float),
+                manifold=np.array(content["manifold"], dtype=float),
+                plant=str(content["plant"]),
+            )
+        except (KeyError, TypeError, json.JSONDecodeError) as error:
+            raise ParameterError(f"{path} is not a plant state: {error!r}") from error
+        if state.cylinders.shape[1:] != (CYLINDER_COLUMNS,) or state.manifold.shape != (
+            MANIFOLD_ENTRIES,
+        ):
+            raise ParameterError(
+                f"{path} holds tables of shape {state.cylinders.shape} and "
+                f"{state.manifold.shape}, but must hold (n, {CYLINDER_COLUMNS}) and "
+                f"({MANIFOLD_ENTRIES},): save the state again with this version"
+            )
+        return state
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file through a temporary file beside it, so that it is never half there."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        # mkstemp makes private files; give the usual permissions.
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise

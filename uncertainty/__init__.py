@@ -1,0 +1,1 @@
+"""What the mean-value plant leaves out, as robust-control deltas with guaranteed weights."""

@@ -58,12 +58,12 @@ $(VENV)/.created:
 	  echo 'Creating $(VENV) with $(PYTHON)'; "$(PYTHON)" -m venv --clear $(VENV); }
 	@touch $@
 
-$(VENV)/.installed: pyproject.toml | $(VENV)/.created
+$(VENV)/.installed: pyproject.toml $(VENV)/.created
 	@echo 'Installing camless-ctrl (the first time takes a minute or two)'
 	@$(PIP_INSTALL) .
 	@touch $@
 
-$(VENV)/.installed-%: pyproject.toml | $(VENV)/.created
+$(VENV)/.installed-%: pyproject.toml $(VENV)/.created
 	@echo 'Installing camless-ctrl[$*] (the first time takes a minute or two)'
 	@$(PIP_INSTALL) '.[$*]'
 	@touch $@

@@ -29,11 +29,14 @@ def simplified_step(m: float, b: float) -> tuple[float, float]:
     if m <= 1.0:
         if m + b <= 0.5:
             return m + b, 0.0
-        # (x - m)^2 = 4 b^2 x (1 - x): the larger root
-        b2 = 2.0 * b * b
-        x = (m + b2 + 2.0 * b * math.sqrt(b * b + m * (1.0 - m))) / (1.0 + 2.0 * b2)
-        stiffness = b2 * (2.0 * x - 1.0)
-        return x, x * stiffness / (stiffness + x - m)
+        # (x - m)^2 = 4 b^2 x (1 - x): the larger root, as x = m + 2 b f with f = D/2 written
+        # so that nothing cancels, however small b or 1 - m
+        root = math.sqrt(b * b + m * (1.0 - m))
+        tilt = b * (2.0 * m - 1.0)
+        f = m * (1.0 - m) / (root + tilt) if tilt > 0.0 else (root - tilt) / (1.0 + 4.0 * b * b)
+        x = m + 2.0 * b * f
+        stiffness = b * (2.0 * x - 1.0)
+        return x, x * stiffness / (stiffness + f)
     if m - b >= 2.0:
         return m - b, 0.0
     # Backward: with u^2 = x - 1, (m - 1 - u^2)(1 + u^2) = 2 b u. Newton from the root of the

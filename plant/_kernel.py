@@ -49,14 +49,14 @@ from ._segment import (
     COS,
     FREE_IM,
     FREE_RE,
+    POWER,
     SIN,
     WORKSPACE_COLUMNS,
     fill_segment,
     integrate_segment,
 )
 
-PHASE_STEPS = 10  # fewest steps in a form of motion at resolution 1
-STEP_DEG = 1.0  # longest step at resolution 1
+FIRST_STEP_DEG = 0.5  # step that is tried first when a valve opens
 
 _profile_corners = njit(cache=True, error_model="numpy", nogil=True)(valve.profile_corners)
 
@@ -119,6 +119,7 @@ def advance_window(
             n_breathing += 1
     opening_time = event.until_opening_deg / window.degree_rate
     opened = False
+    step = FIRST_STEP_DEG / window.degree_rate
     now = 0.0
     sample = 0
     while True:
@@ -132,10 +133,9 @@ def advance_window(
             if n_breathing == 0 and not engine.exact_orifice:
                 sample = fill_segment(engine, window, manifold, now, end, trace, sample)
             else:
-                steps = _steps(window, cylinders, corners, breathing[:n_breathing], end)
-                status, sample = integrate_segment(
+                status, sample, step = integrate_segment(
                     engine, window, flow_coefficients, cylinders, corners, manifold, work,
-                    breathing[:n_breathing], now, end, steps, trace, sample,
+                    breathing, n_breathing, now, end, step, trace, sample,
                 )  # fmt: skip
                 if status != OK:
                     return status
@@ -165,6 +165,7 @@ def advance_window(
             _open(engine, window, event, cylinders[j], math.cos(math.radians(angle)))
             if cylinders[j, PHASE] != SHUT:
                 _prepare(engine, window, cylinders[j], corners[j], work[j], angle)
+                step = FIRST_STEP_DEG / window.degree_rate
                 breathing[n_breathing] = j
                 n_breathing += 1
         if window.length - now <= SAME_TIME:
@@ -185,20 +186,6 @@ def _until_cut(window: Window, row: np.ndarray, corners: np.ndarray) -> float:
     if row[PHASE] == CAM:
         return (row[DURATION] - row[TURNED]) / window.degree_rate
     return corners[int(row[PHASE]) - 1] - row[SINCE]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _steps(
-    window: Window, cylinders: np.ndarray, corners: np.ndarray, breathing: np.ndarray, length: float
-) -> int:
-    """Number of steps: fine enough for the crank angle and for each form of motion."""
-    step = STEP_DEG / window.degree_rate
-    for j in breathing:
-        phase = int(cylinders[j, PHASE])
-        if phase != CAM:
-            begin = corners[j, phase - 2] if phase > RISE else 0.0
-            step = min(step, (corners[j, phase - 1] - begin) / PHASE_STEPS)
-    return max(math.ceil(length / step * window.resolution - 1e-9), 1)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -244,6 +231,9 @@ def _prepare(
         )
     s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
     space[SIN], space[COS] = s, c
+    pressure = row[MASS] * engine.gas / _volume(engine, c)
+    rate = engine.half_stroke_volume * window.omega * s
+    space[POWER] = (engine.exhaust_pressure - pressure) * rate
     velocity = row[VELOCITY] - window.velocity_sin * s - window.velocity_cos * c
     rate = row[ACCELERATION] - window.acceleration_sin * s - window.acceleration_cos * c
     # Free velocity Re(b exp(pole t)); its rate has the phasor pole b.

@@ -1,9 +1,10 @@
-"""Compiled integration of one segment: equal steps between two cuts of the valve motions.
+"""Compiled integration of one segment, between two cuts of the valve motions.
 
 All forcing (volume, runner, lift) is a sum of exponentials in time, which turn from stage to
 stage by a multiplication. A step is SDIRK2, the L-stable second-order diagonally implicit
 Runge-Kutta method with ``gamma = 1 - 1/sqrt(2)``; a stage solves every orifice in closed
-form, coupled through the manifold pressure by a Newton sweep.
+form, coupled through the manifold pressure by a Newton sweep. Steps are the segment's length
+over a power of two, chosen by an estimate of the local error in mass and in work.
 """
 
 from __future__ import annotations
@@ -50,21 +51,41 @@ from ._layout import (
 
 GAMMA = 1.0 - math.sqrt(0.5)
 CARRY = (1.0 - GAMMA) / GAMMA  # weight of the first stage's increment in the second stage
+# Third-order weights of the nodes 0, gamma and 1, for the work integral.
+NODE_1 = 1.0 / (6.0 * GAMMA * (1.0 - GAMMA))
+NODE_2 = (1.0 / 3.0 - 0.5 * GAMMA) / (1.0 - GAMMA)
+NODE_0 = 1.0 - NODE_1 - NODE_2
+# Local errors over the second divided difference of the flow, or of the power, times h.
+MASS_ERROR = 0.08  # of the method for y' = lambda y
+WORK_ERROR = 0.02  # of the stage weights against the third-order ones
+TOLERANCE = 2e-5  # local error of a mass over that mass, at resolution 1
+WORK_TOLERANCE = 5e-5  # local error of the work over itself or 0.5 J, at resolution 1
+LEAST_WORK = 0.5  # J
+GROW_BELOW = 0.06  # local error over the tolerance at which the step may double
+LONGEST_STEP_DEG = 10.0
 SWEEP_TOLERANCE = 1e-4  # change of the manifold pressure, relative, that needs no more sweeps
 MOST_SWEEPS = 60
+LEVELS = 14  # the shortest step is a segment over 2 to this power
 
-# Columns of the workspace, one row a cylinder.
+# Columns of the workspace, one row a cylinder. The first seven turn with time.
 SIN, COS = 0, 1  # of the crank angle
 FREE_RE, FREE_IM = 2, 3  # phasor of the free runner acceleration
-CONSTANT, SLOPE = 4, 5  # lift = constant + slope t + exponential + SCALE x phasor
-EXPONENTIAL, GROWTH_1, GROWTH_2 = 6, 7, 8  # with its factors over the two stages
-SWING_RE, SWING_IM, SCALE = 9, 10, 11  # oscillation (Im) or cam (Re)
-START, BASE, STAGE, STAGE_1 = 12, 13, 14, 15  # masses: at the start of the step, known, solved
-AREA, CAPACITY, PRESSURE_PER_MASS = 16, 17, 18  # gamma h A_v; K/p_m; R T/V
-SENSITIVITY = 19  # dM/dp_m
-OLD_LIFT, OLD_RUNNER = 20, 21  # at the start of the step, for the trace
-NEW_LIFT, NEW_RUNNER = 22, 23  # at the stage
-WORKSPACE_COLUMNS = 24
+SWING_RE, SWING_IM = 4, 5  # of the oscillation (Im) or the cam (Re)
+EXPONENTIAL = 6  # part of the lift
+TURNING = 7
+OLD = 7  # the same seven at the start of the step: columns 7 to 13
+GROWTH_1, GROWTH_2 = 14, 15  # factors of the exponential over the two stages
+CONSTANT, SLOPE, SCALE, RATE = (
+    16,
+    17,
+    18,
+    19,
+)  # lift = constant + slope t + exponential + scale x swing
+START, BASE, STAGE, STAGE_1 = 20, 21, 22, 23  # masses: at the start of the step, known, solved
+AREA, CAPACITY, SENSITIVITY = 24, 25, 26  # gamma h A_v; K/p_m; dM/dp_m
+PRESSURE_PER_MASS = 27  # R T/V
+POWER, POWER_1, POWER_2 = 28, 29, 30  # (p_exh - p_c) dV/dt at the nodes of the step
+WORKSPACE_COLUMNS = 31
 
 
 class _Turn(NamedTuple):
@@ -94,73 +115,81 @@ def _turn(window: Window, swing_rate: float, swing_decay: float, time: float) ->
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _start_lift(
-    engine: KernelEngine, space: np.ndarray, row: np.ndarray, corners: np.ndarray, h: float
+    engine: KernelEngine,
+    work: np.ndarray,
+    j: int,
+    cylinders: np.ndarray,
+    corners: np.ndarray,
 ) -> None:
     """Write a cylinder's lift over the segment as constant + slope + exponential + phasor."""
-    phase = int(row[PHASE])
-    t = row[SINCE]
-    lift = row[LIFT]
+    phase = int(cylinders[j, PHASE])
+    t = cylinders[j, SINCE]
+    lift = cylinders[j, LIFT]
     constant, slope, exponential, rate = 0.0, 0.0, 0.0, 0.0
     swing_re, swing_im, scale = 0.0, 0.0, 0.0
     soft = engine.roundness * lift
     if phase == CAM:
         # u_l sin^2(a) = u_l/2 - u_l/2 cos(2 a)
-        turned = 2.0 * math.pi / row[DURATION] * row[TURNED]
+        turned = 2.0 * math.pi / cylinders[j, DURATION] * cylinders[j, TURNED]
         swing_re, swing_im = math.cos(turned), math.sin(turned)
         constant, scale = 0.5 * lift, -0.5 * lift
     elif phase == RISE:
         constant, slope = engine.opening_slope * t, engine.opening_slope
     elif phase == APPROACH:
         constant, rate = lift, -engine.opening_slope / soft
-        exponential = -soft * math.exp(rate * (t - corners[RISE - 1]))
+        exponential = -soft * math.exp(rate * (t - corners[j, RISE - 1]))
     elif phase == RETREAT:
         constant, rate = lift, engine.closing_slope / soft
-        exponential = -soft * math.exp(-rate * (corners[RETREAT - 1] - t))
+        exponential = -soft * math.exp(-rate * (corners[j, RETREAT - 1] - t))
     elif phase == FALL:
         ramp = (1.0 - engine.roundness) * lift
         slope = -engine.closing_slope
-        constant = ramp + slope * (t - corners[RETREAT - 1])
+        constant = ramp + slope * (t - corners[j, RETREAT - 1])
     else:
         slope = -engine.seating_slope
-        constant = slope * (t - row[DURATION])
+        constant = slope * (t - cylinders[j, DURATION])
     if APPROACH <= phase < CAM and engine.oscillation_amplitude > 0.0:
-        since = t - corners[RISE - 1]
+        since = t - corners[j, RISE - 1]
         size = math.exp(-engine.oscillation_decay * since)
         turned = engine.oscillation_frequency * since
         swing_re, swing_im = size * math.cos(turned), size * math.sin(turned)
         scale = engine.oscillation_amplitude * lift
-    space[CONSTANT], space[SLOPE], space[EXPONENTIAL] = constant, slope, exponential
-    space[GROWTH_1] = math.exp(rate * GAMMA * h)
-    space[GROWTH_2] = math.exp(rate * (1.0 - GAMMA) * h)
-    space[SWING_RE], space[SWING_IM], space[SCALE] = swing_re, swing_im, scale
+    work[j, CONSTANT], work[j, SLOPE], work[j, EXPONENTIAL] = constant, slope, exponential
+    work[j, RATE] = rate
+    work[j, SWING_RE], work[j, SWING_IM], work[j, SCALE] = swing_re, swing_im, scale
 
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
-def _lift_and_runner(
-    engine: KernelEngine, window: Window, space: np.ndarray, tau: float
-) -> tuple[float, float]:
-    """Lift in mm and ``p_r/p_m`` where the phasors stand, `tau` after the segment's start."""
-    swing = space[SWING_RE] if engine.cam else space[SWING_IM]
-    lift = space[CONSTANT] + space[SLOPE] * tau + space[EXPONENTIAL] + space[SCALE] * swing
-    acceleration = (
-        window.acceleration_sin * space[SIN] + window.acceleration_cos * space[COS] + space[FREE_RE]
-    )
+def _lift(engine: KernelEngine, work: np.ndarray, j: int, tau: float) -> float:
+    """Lift in mm where the phasors stand, `tau` after the segment's start."""
+    swing = work[j, SWING_RE] if engine.cam else work[j, SWING_IM]
+    lift = work[j, CONSTANT] + work[j, SLOPE] * tau + work[j, EXPONENTIAL]
     # The oscillation of Appendix B does not take the valve below its seat.
-    return max(lift, 0.0), 1.0 - engine.runner_gain * acceleration
+    return max(lift + work[j, SCALE] * swing, 0.0)
 
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
-def _turn_forcing(space: np.ndarray, turn: _Turn, growth: float) -> None:
-    s, c = space[SIN], space[COS]
-    space[SIN] = s * turn.crank_cos + c * turn.crank_sin
-    space[COS] = c * turn.crank_cos - s * turn.crank_sin
-    re, im = space[FREE_RE], space[FREE_IM]
-    space[FREE_RE] = re * turn.free_re - im * turn.free_im
-    space[FREE_IM] = re * turn.free_im + im * turn.free_re
-    re, im = space[SWING_RE], space[SWING_IM]
-    space[SWING_RE] = re * turn.swing_re - im * turn.swing_im
-    space[SWING_IM] = re * turn.swing_im + im * turn.swing_re
-    space[EXPONENTIAL] *= growth
+def _runner(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> float:
+    """``p_r/p_m`` where the phasors stand (Eq. 5 and 6)."""
+    return 1.0 - engine.runner_gain * (
+        window.acceleration_sin * work[j, SIN]
+        + window.acceleration_cos * work[j, COS]
+        + work[j, FREE_RE]
+    )
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _turn_forcing(work: np.ndarray, j: int, turn: _Turn, growth: float) -> None:
+    s, c = work[j, SIN], work[j, COS]
+    work[j, SIN] = s * turn.crank_cos + c * turn.crank_sin
+    work[j, COS] = c * turn.crank_cos - s * turn.crank_sin
+    re, im = work[j, FREE_RE], work[j, FREE_IM]
+    work[j, FREE_RE] = re * turn.free_re - im * turn.free_im
+    work[j, FREE_IM] = re * turn.free_im + im * turn.free_re
+    re, im = work[j, SWING_RE], work[j, SWING_IM]
+    work[j, SWING_RE] = re * turn.swing_re - im * turn.swing_im
+    work[j, SWING_IM] = re * turn.swing_im + im * turn.swing_re
+    work[j, EXPONENTIAL] *= growth
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -168,12 +197,14 @@ def _solve_stage(
     engine: KernelEngine,
     work: np.ndarray,
     breathing: np.ndarray,
+    n_breathing: int,
     throttle_step: float,  # gamma h A_phi, kg
     manifold_base: float,  # kg
     guess: float,  # Pa
-) -> tuple[bool, float, float]:
-    """Solve the implicit stage; returns (solved, manifold pressure, throttle inflow in kg).
+) -> tuple[bool, float, float, float]:
+    """Solve the implicit stage.
 
+    Returns (solved, manifold pressure, throttle inflow in kg, damping of the manifold's error).
     Each sweep solves the cylinders at a guessed manifold pressure, then the manifold with
     the cylinders' linear response to it and the throttle in full. The last correction is
     passed on to the cylinders, so that mass is conserved to rounding.
@@ -181,34 +212,38 @@ def _solve_stage(
     p_amb = engine.ambient_pressure
     for _ in range(MOST_SWEEPS):
         taken, coupling = 0.0, 0.0
-        for j in breathing:
+        for i in range(n_breathing):
+            j = breathing[i]
             capacity = work[j, CAPACITY]
             full = guess * capacity
-            m = work[j, BASE] / full
+            per_full = 1.0 / full
+            base = work[j, BASE]
             if engine.exact_orifice:
                 b = work[j, AREA] * engine.exact_scale * work[j, PRESSURE_PER_MASS]
-                x, sensitivity = exact_step(m, b)
+                x, sensitivity = exact_step(base * per_full, b)
             else:
-                x, sensitivity = simplified_step(m, work[j, AREA] / full)
+                x, sensitivity = simplified_step(base * per_full, work[j, AREA] * per_full)
             work[j, STAGE] = x * full
             work[j, SENSITIVITY] = sensitivity * capacity
-            taken += x * full - work[j, BASE]
+            taken += x * full - base
             coupling += sensitivity * capacity
         full = (engine.capacity + coupling) * p_amb
-        m = (manifold_base - taken + coupling * guess) / full
-        b = throttle_step / full
+        per_full = 1.0 / full
+        m = (manifold_base - taken + coupling * guess) * per_full
+        b = throttle_step * per_full
         if engine.exact_orifice:
-            x, _ = exact_step(m, b * p_amb * engine.exact_scale)
+            x, sensitivity = exact_step(m, b * p_amb * engine.exact_scale)
         else:
-            x, _ = simplified_step(m, b)
+            x, sensitivity = simplified_step(m, b)
         change = x * p_amb - guess
         guess = x * p_amb
         if abs(change) <= SWEEP_TOLERANCE * p_amb:
-            for j in breathing:
+            for i in range(n_breathing):
+                j = breathing[i]
                 work[j, STAGE] += work[j, SENSITIVITY] * change
             inflow = engine.capacity * guess - manifold_base + taken + coupling * change
-            return True, guess, inflow
-    return False, guess, 0.0
+            return True, guess, inflow, 1.0 - sensitivity / x
+    return False, guess, 0.0, 1.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -221,133 +256,259 @@ def integrate_segment(
     manifold: np.ndarray,
     work: np.ndarray,
     breathing: np.ndarray,
+    n_breathing: int,
     now: float,
     length: float,
-    steps: int,
+    hint: float,
     trace: np.ndarray,
     sample: int,
-) -> tuple[int, int]:
-    """Integrate one segment of equal steps; returns (status, next trace sample)."""
-    h = length / steps
+) -> tuple[int, int, float]:
+    """Integrate one segment; returns (status, next trace sample, step for the next segment)."""
     swing_rate, swing_decay = engine.oscillation_frequency, engine.oscillation_decay
-    if engine.cam and breathing.size > 0:
+    if engine.cam and n_breathing > 0:
         swing_rate = 2.0 * math.pi / cylinders[breathing[0], DURATION] * window.degree_rate
         swing_decay = 0.0
-    turn_1 = _turn(window, swing_rate, swing_decay, GAMMA * h)
-    turn_2 = _turn(window, swing_rate, swing_decay, (1.0 - GAMMA) * h)
-    for j in breathing:
-        _start_lift(engine, work[j], cylinders[j], corners[j], h)
+    for i in range(n_breathing):
+        j = breathing[i]
+        _start_lift(engine, work, j, cylinders, corners)
         work[j, START] = cylinders[j, MASS]
-    throttle_step = GAMMA * h * window.throttle_area
+    tracing = trace.shape[1] > 0
+    tighter = window.resolution**3
+    longest = LONGEST_STEP_DEG / window.degree_rate / window.resolution
+    span = 1 << LEVELS
+    stride = span
+    h = length
+    while stride > 1 and (h > longest or h > 1.5 * hint):
+        stride >>= 1
+        h *= 0.5
+    position = 0
+    fresh = True  # the turning factors belong to another step
+    turn_1 = _turn(window, swing_rate, swing_decay, 0.0)
+    turn_2 = turn_1
     mass = manifold[MANIFOLD_MASS]
     pressure = mass / engine.capacity
-    guess = pressure
-    for k in range(steps):
-        if trace.shape[1] > 0:
-            for j in breathing:
-                work[j, OLD_LIFT], work[j, OLD_RUNNER] = _lift_and_runner(
-                    engine, window, work[j], k * h
-                )
-        old_pressure = pressure
-        base = mass
-        inflow = 0.0
-        for stage in range(2):
-            tau = (k + GAMMA) * h if stage == 0 else (k + 1) * h
-            for j in breathing:
-                space = work[j]
-                if stage == 0:
-                    _turn_forcing(space, turn_1, space[GROWTH_1])
-                    space[BASE] = space[START]
+    pressure_rate = 0.0
+    while position < span:
+        if fresh:
+            h = length * (stride / span)
+            turn_1 = _turn(window, swing_rate, swing_decay, GAMMA * h)
+            turn_2 = _turn(window, swing_rate, swing_decay, (1.0 - GAMMA) * h)
+            for i in range(n_breathing):
+                j = breathing[i]
+                rate = work[j, RATE]
+                if rate != 0.0:
+                    work[j, GROWTH_1] = math.exp(rate * GAMMA * h)
+                    work[j, GROWTH_2] = math.exp(rate * (1.0 - GAMMA) * h)
                 else:
-                    _turn_forcing(space, turn_2, space[GROWTH_2])
-                    space[BASE] = space[START] + CARRY * (space[STAGE_1] - space[START])
-                lift, runner = _lift_and_runner(engine, window, space, tau)
-                if runner <= 0.0:
-                    return RUNNER_COLLAPSED, sample
-                volume = engine.clearance_volume + engine.half_stroke_volume * (1.0 - space[COS])
-                space[AREA] = GAMMA * h * flow_coefficients[j] * lift
-                space[CAPACITY] = runner * volume / engine.gas
-                space[PRESSURE_PER_MASS] = engine.gas / volume
-                space[NEW_LIFT], space[NEW_RUNNER] = lift, runner
-            solved, pressure, gained = _solve_stage(
-                engine, work, breathing, throttle_step, base, guess
+                    work[j, GROWTH_1], work[j, GROWTH_2] = 1.0, 1.0
+            fresh = False
+        step = GAMMA * h
+        begin = length * (position / span)
+        throttle_step = step * window.throttle_area
+
+        # First stage.
+        for i in range(n_breathing):
+            j = breathing[i]
+            for c in range(TURNING):
+                work[j, OLD + c] = work[j, c]
+            _turn_forcing(work, j, turn_1, work[j, GROWTH_1])
+            if not _set_stage(engine, window, work, j, begin + step, step * flow_coefficients[j]):
+                return RUNNER_COLLAPSED, sample, h
+            work[j, BASE] = work[j, START]
+        solved, pressure_1, gained_1, _ = _solve_stage(
+            engine, work, breathing, n_breathing, throttle_step, mass,
+            pressure + pressure_rate * step,
+        )  # fmt: skip
+        if not solved:
+            return NO_STAGE_SOLUTION, sample, h
+        # Second stage.
+        for i in range(n_breathing):
+            j = breathing[i]
+            work[j, STAGE_1] = work[j, STAGE]
+            work[j, POWER_1] = _power(engine, window, work, j)
+            _turn_forcing(work, j, turn_2, work[j, GROWTH_2])
+            if not _set_stage(engine, window, work, j, begin + h, step * flow_coefficients[j]):
+                return RUNNER_COLLAPSED, sample, h
+            work[j, BASE] = work[j, START] + CARRY * (work[j, STAGE] - work[j, START])
+        solved, pressure_2, gained_2, damping = _solve_stage(
+            engine, work, breathing, n_breathing, throttle_step,
+            mass + CARRY * (engine.capacity * pressure_1 - mass),
+            pressure + (pressure_1 - pressure) / GAMMA,
+        )  # fmt: skip
+        if not solved:
+            return NO_STAGE_SOLUTION, sample, h
+
+        # Local error, relative to the tolerance. The share of a stiff component is damped as
+        # the implicit step damps it.
+        error = 0.0
+        per_step = 1.0 / step
+        net_0, net_1, net_2 = manifold[THROTTLE_FLOW], gained_1 * per_step, gained_2 * per_step
+        for i in range(n_breathing):
+            j = breathing[i]
+            flow_0 = cylinders[j, FLOW]
+            flow_1 = (work[j, STAGE_1] - work[j, START]) * per_step
+            flow_2 = (work[j, STAGE] - work[j, BASE]) * per_step
+            net_0, net_1, net_2 = net_0 - flow_0, net_1 - flow_1, net_2 - flow_2
+            damped = work[j, STAGE] - work[j, SENSITIVITY] * pressure_2
+            bend = abs(_bend(flow_0, flow_1, flow_2)) * damped
+            error = max(
+                error, MASS_ERROR * h * bend / (TOLERANCE * work[j, STAGE] * work[j, STAGE])
             )
-            if not solved:
-                return NO_STAGE_SOLUTION, sample
-            weight = (1.0 - GAMMA) * h if stage == 0 else GAMMA * h
-            for j in breathing:
-                rate = engine.half_stroke_volume * window.omega * work[j, SIN]
-                p_c = work[j, STAGE] * work[j, PRESSURE_PER_MASS]
-                cylinders[j, WORK] += weight * (engine.exhaust_pressure - p_c) * rate
-            if stage == 0:
-                for j in breathing:
-                    work[j, STAGE_1] = work[j, STAGE]
-                base = mass + CARRY * (engine.capacity * pressure - mass)
-                inflow = CARRY * gained
-                guess = old_pressure + (pressure - old_pressure) / GAMMA
-        inflow += gained
-        throttle_flow = gained / (GAMMA * h)
-        guess = pressure + (pressure - old_pressure) * GAMMA
-        if trace.shape[1] > 0:
+            work[j, POWER_2] = _power(engine, window, work, j)
+            bend = abs(_bend(work[j, POWER], work[j, POWER_1], work[j, POWER_2]))
+            allowed = WORK_TOLERANCE * max(abs(cylinders[j, WORK]), LEAST_WORK)
+            error = max(error, WORK_ERROR * h * bend / allowed)
+        bend = abs(_bend(net_0, net_1, net_2)) * damping
+        error = max(error, MASS_ERROR * h * bend / (TOLERANCE * engine.capacity * pressure_2))
+        error *= tighter
+        if error > 1.0 and stride > 1:
+            for i in range(n_breathing):
+                j = breathing[i]
+                for c in range(TURNING):
+                    work[j, c] = work[j, OLD + c]
+            stride >>= 1
+            fresh = True
+            continue
+
+        throttle_flow = gained_2 * per_step
+        if tracing:
             sample = _record(
-                window, cylinders, manifold, work, breathing, now + k * h, h,
-                engine.capacity, pressure, throttle_flow, trace, sample,
+                engine, window, cylinders, manifold, work, breathing, n_breathing, now, begin, h,
+                swing_rate, swing_decay, gained_1 * per_step, throttle_flow, pressure_2, trace,
+                sample,
             )  # fmt: skip
-        for j in breathing:
-            cylinders[j, FLOW] = (work[j, STAGE] - work[j, BASE]) / (GAMMA * h)
-            cylinders[j, MASS] = work[j, STAGE]
+        for i in range(n_breathing):
+            j = breathing[i]
+            cylinders[j, FLOW] = (work[j, STAGE] - work[j, BASE]) * per_step
+            cylinders[j, WORK] += h * (
+                NODE_0 * work[j, POWER] + NODE_1 * work[j, POWER_1] + NODE_2 * work[j, POWER_2]
+            )
+            work[j, POWER] = work[j, POWER_2]
             work[j, START] = work[j, STAGE]
+        pressure_rate = (pressure_2 - pressure) / h
+        pressure = pressure_2
         mass = engine.capacity * pressure
-        manifold[MANIFOLD_MASS] = mass
-        manifold[INFLOW] += inflow
+        manifold[INFLOW] += CARRY * gained_1 + gained_2
         manifold[THROTTLE_FLOW] = throttle_flow
-    return OK, sample
+        position += stride
+        doubled = 2 * stride
+        if (
+            error < GROW_BELOW
+            and position < span
+            and position % doubled == 0
+            and position + doubled <= span
+            and 2.0 * h <= longest
+        ):
+            stride = doubled
+            fresh = True
+    for i in range(n_breathing):
+        j = breathing[i]
+        cylinders[j, MASS] = work[j, START]
+    manifold[MANIFOLD_MASS] = mass
+    return OK, sample, h
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _bend(value_0: float, value_1: float, value_2: float) -> float:
+    """Second divided difference over the nodes 0, gamma and 1."""
+    return (value_2 - value_1) / (1.0 - GAMMA) - (value_1 - value_0) / GAMMA
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _power(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> float:
+    """``(p_exh - p_c) dV/dt`` at the stage, W."""
+    pressure = work[j, STAGE] * work[j, PRESSURE_PER_MASS]
+    rate = engine.half_stroke_volume * window.omega * work[j, SIN]
+    return (engine.exhaust_pressure - pressure) * rate
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _set_stage(
+    engine: KernelEngine, window: Window, work: np.ndarray, j: int, tau: float, area_step: float
+) -> bool:
+    """Write area and capacity of a cylinder at a stage; False if the runner has collapsed."""
+    runner = _runner(engine, window, work, j)
+    volume = engine.clearance_volume + engine.half_stroke_volume * (1.0 - work[j, COS])
+    work[j, AREA] = area_step * _lift(engine, work, j, tau)
+    work[j, CAPACITY] = runner * volume / engine.gas
+    work[j, PRESSURE_PER_MASS] = engine.gas / volume
+    return runner > 0.0
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _record(
+    engine: KernelEngine,
     window: Window,
     cylinders: np.ndarray,
     manifold: np.ndarray,
     work: np.ndarray,
     breathing: np.ndarray,
-    start: float,
+    n_breathing: int,
+    now: float,
+    begin: float,
     h: float,
-    capacity: float,
+    swing_rate: float,
+    swing_decay: float,
+    throttle_1: float,
+    throttle_2: float,
     pressure: float,
-    throttle_flow: float,
     trace: np.ndarray,
     sample: int,
 ) -> int:
-    """Write the trace samples inside one step: masses by cubic, the rest by linear interpolation.
+    """Write the trace samples inside one step.
 
-    `cylinders` and `manifold` still hold the start of the step, `work` its end.
+    Masses by the cubic, flows by the quadratic that the step's nodes define; lift and runner
+    by turning the forcing from the start of the step. `cylinders` and `manifold` still hold
+    the start of the step, `work` its end.
     """
+    start = now + begin
+    per_step = 1.0 / (GAMMA * h)
+    here = np.empty((1, WORKSPACE_COLUMNS))
     while sample < trace.shape[1] and sample * window.spacing < start + h - SAME_TIME:
         u = max((sample * window.spacing - start) / h, 0.0)
-        v = 1.0 - u
-        # Hermite weights of the end value and the two slopes; the start value has the rest.
-        end, slope_0, slope_1 = u * u * (3.0 - 2.0 * u), u * v * v * h, -u * u * v * h
-        old_net, new_net = manifold[THROTTLE_FLOW], throttle_flow
-        for j in breathing:
-            old, new = cylinders[j, FLOW], (work[j, STAGE] - work[j, BASE]) / (GAMMA * h)
-            old_net -= old
-            new_net -= new
+        turn = _turn(window, swing_rate, swing_decay, u * h)
+        throttle_0 = manifold[THROTTLE_FLOW]
+        net_0, net_2 = throttle_0, throttle_2
+        for i in range(n_breathing):
+            j = breathing[i]
+            flow_0 = cylinders[j, FLOW]
+            flow_1 = (work[j, STAGE_1] - work[j, START]) * per_step
+            flow_2 = (work[j, STAGE] - work[j, BASE]) * per_step
+            net_0, net_2 = net_0 - flow_0, net_2 - flow_2
+            here[0] = work[j]
+            for c in range(TURNING):
+                here[0, c] = work[j, OLD + c]
+            _turn_forcing(here, 0, turn, math.exp(work[j, RATE] * u * h))
             r = TRACE_FIRST + TRACE_STRIDE * j
-            start_mass = work[j, START]
-            trace[r + TRACE_MASS, sample] = (
-                start_mass + end * (work[j, STAGE] - start_mass) + slope_0 * old + slope_1 * new
+            trace[r + TRACE_MASS, sample] = _cubic(
+                u, h, work[j, START], work[j, STAGE], flow_0, flow_2
             )
-            trace[r + TRACE_FLOW, sample] = v * old + u * new
-            trace[r + TRACE_RUNNER, sample] = v * work[j, OLD_RUNNER] + u * work[j, NEW_RUNNER]
-            trace[r + TRACE_LIFT, sample] = v * work[j, OLD_LIFT] + u * work[j, NEW_LIFT]
-        old_mass = manifold[MANIFOLD_MASS]
-        mass = old_mass + end * (capacity * pressure - old_mass)
-        mass += slope_0 * old_net + slope_1 * new_net
-        trace[TRACE_PRESSURE, sample] = mass / capacity
-        trace[TRACE_THROTTLE, sample] = v * manifold[THROTTLE_FLOW] + u * throttle_flow
+            trace[r + TRACE_FLOW, sample] = _quadratic(u, flow_0, flow_1, flow_2)
+            trace[r + TRACE_RUNNER, sample] = _runner(engine, window, here, 0)
+            trace[r + TRACE_LIFT, sample] = _lift(engine, here, 0, begin + u * h)
+        old_mass, new_mass = manifold[MANIFOLD_MASS], engine.capacity * pressure
+        trace[TRACE_PRESSURE, sample] = (
+            _cubic(u, h, old_mass, new_mass, net_0, net_2) / engine.capacity
+        )
+        trace[TRACE_THROTTLE, sample] = _quadratic(u, throttle_0, throttle_1, throttle_2)
         sample += 1
+    manifold[MANIFOLD_MASS] = engine.capacity * pressure
     return sample
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: float) -> float:
+    """Hermite cubic through the ends of a step."""
+    v = 1.0 - u
+    end = u * u * (3.0 - 2.0 * u)
+    return y_0 + end * (y_2 - y_0) + u * v * h * (v * slope_0 - u * slope_2)
+
+
+@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _quadratic(u: float, y_0: float, y_1: float, y_2: float) -> float:
+    """Parabola through the nodes 0, gamma and 1."""
+    slope = (y_1 - y_0) / GAMMA
+    return y_0 + u * (slope + (u - GAMMA) * _bend(y_0, y_1, y_2))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from ._compile import compiled
 
 # Eq. 11 at gamma = 1.4
 _GAMMA = 1.4
@@ -21,7 +21,7 @@ _SONIC = math.sqrt(_GAMMA) * (2.0 / (_GAMMA + 1.0)) ** ((_GAMMA + 1.0) / (2.0 * 
 _EXACT_SCALE = math.sqrt(2.0 * _GAMMA / (_GAMMA - 1.0)) / _SONIC
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def simplified_step(m: float, b: float) -> tuple[float, float]:
     """Solve ``x = m + b d(x)`` with Eq. 13-14, where ``b`` varies as ``1/K``."""
     if b == 0.0:
@@ -65,7 +65,7 @@ def simplified_step(m: float, b: float) -> tuple[float, float]:
     return x, x * stiffness / (stiffness + u * x * x)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _exact_function(y: float) -> tuple[float, float]:
     """``Psi_o(y)/Psi_o(sonic)`` of Eq. 11 and its derivative, for ``0 <= y < 1``."""
     if y <= _CRITICAL_RATIO:
@@ -78,7 +78,7 @@ def _exact_function(y: float) -> tuple[float, float]:
     return value, slope
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def exact_step(m: float, b: float) -> tuple[float, float]:
     """Solve ``x = m + b D(x)`` with Eq. 10-11, where ``b`` does not vary with ``K``.
 
@@ -121,7 +121,7 @@ def exact_step(m: float, b: float) -> tuple[float, float]:
     return x, x - m / (1.0 - b * slope_d)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def fill_from_ambient(x: float, k: float) -> float:
     """Pressure ratio after a volume fills through one orifice of Eq. 13-14 alone.
 

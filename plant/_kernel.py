@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from . import valve
+from ._compile import compiled
 from ._layout import (
     ACCELERATION,
     CAM,
@@ -58,10 +58,10 @@ from ._segment import (
 
 FIRST_STEP_DEG = 0.5  # step that is tried first when a valve opens
 
-_profile_corners = njit(cache=True, error_model="numpy", nogil=True)(valve.profile_corners)
+_profile_corners = compiled(valve.profile_corners)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def make_window(
     engine: KernelEngine,
     window_deg: float,
@@ -91,11 +91,12 @@ def make_window(
         -damping * natural_frequency,
         natural_frequency * math.sqrt(1.0 - damping * damping),
         resolution,
+        samples,
         length / samples if samples > 0 else math.inf,
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def advance_window(
     engine: KernelEngine,
     window: Window,
@@ -104,7 +105,8 @@ def advance_window(
     angles: np.ndarray,  # (n,), crank angle of each cylinder at the start, deg after its TDC
     cylinders: np.ndarray,  # (n, CYLINDER_COLUMNS), changed in place
     manifold: np.ndarray,  # (MANIFOLD_ENTRIES,), changed in place
-    trace: np.ndarray,  # (rows, samples), filled over the window; no samples for no trace
+    trace: np.ndarray,  # (rows, samples of one or more windows)
+    first: int,  # column of the trace at which this window starts
 ) -> int:
     """Advance the plant by one window, in which one cylinder opens. Returns a status."""
     n = engine.n_cylinders
@@ -129,18 +131,18 @@ def advance_window(
         for j in breathing[:n_breathing]:
             end = min(end, _until_cut(window, cylinders[j], corners[j]))
         if end > SAME_TIME:
-            first = sample
+            seen = sample
             if n_breathing == 0 and not engine.exact_orifice:
-                sample = fill_segment(engine, window, manifold, now, end, trace, sample)
+                sample = fill_segment(engine, window, manifold, now, end, trace, first, sample)
             else:
                 status, sample, step = integrate_segment(
                     engine, window, flow_coefficients, cylinders, corners, manifold, work,
-                    breathing, n_breathing, now, end, step, trace, sample,
+                    breathing, n_breathing, now, end, step, trace, first, sample,
                 )  # fmt: skip
                 if status != OK:
                     return status
-            for k in range(first, sample):
-                _record_shut(window, cylinders, angles, event.cylinder, opened, trace, k)
+            for k in range(seen, sample):
+                _record_shut(window, cylinders, angles, event.cylinder, opened, trace, first, k)
             now += end
             for j in breathing[:n_breathing]:
                 cylinders[j, SINCE] += end
@@ -175,12 +177,12 @@ def advance_window(
     return OK
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _volume(engine: KernelEngine, cosine: float) -> float:
     return engine.clearance_volume + engine.half_stroke_volume * (1.0 - cosine)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _until_cut(window: Window, row: np.ndarray, corners: np.ndarray) -> float:
     """Time to the end of the present form of the valve's motion, s."""
     if row[PHASE] == CAM:
@@ -188,7 +190,7 @@ def _until_cut(window: Window, row: np.ndarray, corners: np.ndarray) -> float:
     return corners[int(row[PHASE]) - 1] - row[SINCE]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _open(
     engine: KernelEngine, window: Window, event: Event, row: np.ndarray, cosine: float
 ) -> None:
@@ -209,7 +211,7 @@ def _open(
         row[DURATION] = event.duration_deg / window.degree_rate
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _prepare(
     engine: KernelEngine,
     window: Window,
@@ -242,7 +244,7 @@ def _prepare(
     space[FREE_IM] = window.pole_re * b_im + window.pole_im * velocity
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _keep_runner(window: Window, row: np.ndarray, space: np.ndarray) -> None:
     """Store the runner's velocity and acceleration, from which another speed goes on."""
     s, c, re, im = space[SIN], space[COS], space[FREE_RE], space[FREE_IM]
@@ -252,7 +254,7 @@ def _keep_runner(window: Window, row: np.ndarray, space: np.ndarray) -> None:
     row[ACCELERATION] = window.acceleration_sin * s + window.acceleration_cos * c + re
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _finish_event(engine: KernelEngine, row: np.ndarray, volume: float, past_bottom: bool) -> None:
     """Close an event at IVC: charge, and loss up to the instant with ``p_c >= p_exh``.
 
@@ -272,7 +274,7 @@ def _finish_event(engine: KernelEngine, row: np.ndarray, volume: float, past_bot
     row[PHASE] = SHUT
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _record_shut(
     window: Window,
     cylinders: np.ndarray,
@@ -280,6 +282,7 @@ def _record_shut(
     opening: int,
     opened: bool,
     trace: np.ndarray,
+    first: int,
     k: int,
 ) -> None:
     """Write a trace sample of the shut cylinders: their mass is known until the firing TDC."""
@@ -290,13 +293,13 @@ def _record_shut(
         angle = angles[j] + k * window.spacing * window.degree_rate
         closed = cylinders[j, COMPLETED] > 0.0 and (opened or j != opening)
         known = closed and angle <= 360.0
-        trace[r + TRACE_MASS, k] = cylinders[j, MASS] if known else math.nan
-        trace[r + TRACE_FLOW, k] = 0.0
-        trace[r + TRACE_RUNNER, k] = math.nan
-        trace[r + TRACE_LIFT, k] = 0.0
+        trace[r + TRACE_MASS, first + k] = cylinders[j, MASS] if known else math.nan
+        trace[r + TRACE_FLOW, first + k] = 0.0
+        trace[r + TRACE_RUNNER, first + k] = math.nan
+        trace[r + TRACE_LIFT, first + k] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def advance_cycle(
     engine: KernelEngine,
     windows: Window,
@@ -309,7 +312,6 @@ def advance_cycle(
 ) -> int:
     """Advance the plant by one cycle of equal windows. Returns a status."""
     n = engine.n_cylinders
-    samples = trace.shape[1] // n
     angles = np.empty(n)
     for k in range(n):
         for j in range(n):
@@ -323,7 +325,8 @@ def advance_cycle(
             angles,
             cylinders,
             manifold,
-            trace[:, k * samples : (k + 1) * samples],
+            trace,
+            k * windows.samples,
         )
         if status != OK:
             return status

@@ -53,7 +53,8 @@ class Window(NamedTuple):
     pole_re: float  # of the free motion of the runner, 1/s
     pole_im: float
     resolution: float  # multiplies the number of steps
-    spacing: float  # of the trace samples, s; infinite without trace
+    samples: int  # of the trace over the window; 0 without trace
+    spacing: float  # of the samples, s
 
 
 # Columns of the cylinder table, one row a cylinder.

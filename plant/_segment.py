@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ._compile import compiled
 from ._implicit import exact_step, fill_from_ambient, simplified_step
 from ._layout import (
     APPROACH,
@@ -99,7 +99,7 @@ class _Turn(NamedTuple):
     swing_im: float
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _turn(window: Window, swing_rate: float, swing_decay: float, time: float) -> _Turn:
     free = math.exp(window.pole_re * time)
     swing = math.exp(-swing_decay * time)
@@ -113,7 +113,7 @@ def _turn(window: Window, swing_rate: float, swing_decay: float, time: float) ->
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _start_lift(
     engine: KernelEngine,
     work: np.ndarray,
@@ -159,7 +159,7 @@ def _start_lift(
     work[j, SWING_RE], work[j, SWING_IM], work[j, SCALE] = swing_re, swing_im, scale
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _lift(engine: KernelEngine, work: np.ndarray, j: int, tau: float) -> float:
     """Lift in mm where the phasors stand, `tau` after the segment's start."""
     swing = work[j, SWING_RE] if engine.cam else work[j, SWING_IM]
@@ -168,7 +168,7 @@ def _lift(engine: KernelEngine, work: np.ndarray, j: int, tau: float) -> float:
     return max(lift + work[j, SCALE] * swing, 0.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _runner(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> float:
     """``p_r/p_m`` where the phasors stand (Eq. 5 and 6)."""
     return 1.0 - engine.runner_gain * (
@@ -178,7 +178,7 @@ def _runner(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> f
     )
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _turn_forcing(work: np.ndarray, j: int, turn: _Turn, growth: float) -> None:
     s, c = work[j, SIN], work[j, COS]
     work[j, SIN] = s * turn.crank_cos + c * turn.crank_sin
@@ -192,7 +192,7 @@ def _turn_forcing(work: np.ndarray, j: int, turn: _Turn, growth: float) -> None:
     work[j, EXPONENTIAL] *= growth
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _solve_stage(
     engine: KernelEngine,
     work: np.ndarray,
@@ -246,7 +246,7 @@ def _solve_stage(
     return False, guess, 0.0, 1.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def integrate_segment(
     engine: KernelEngine,
     window: Window,
@@ -261,6 +261,7 @@ def integrate_segment(
     length: float,
     hint: float,
     trace: np.ndarray,
+    first: int,
     sample: int,
 ) -> tuple[int, int, float]:
     """Integrate one segment; returns (status, next trace sample, step for the next segment)."""
@@ -272,7 +273,7 @@ def integrate_segment(
         j = breathing[i]
         _start_lift(engine, work, j, cylinders, corners)
         work[j, START] = cylinders[j, MASS]
-    tracing = trace.shape[1] > 0
+    tracing = window.samples > 0
     tighter = window.resolution**3
     longest = LONGEST_STEP_DEG / window.degree_rate / window.resolution
     span = 1 << LEVELS
@@ -375,7 +376,7 @@ def integrate_segment(
             sample = _record(
                 engine, window, cylinders, manifold, work, breathing, n_breathing, now, begin, h,
                 swing_rate, swing_decay, gained_1 * per_step, throttle_flow, pressure_2, trace,
-                sample,
+                first, sample,
             )  # fmt: skip
         for i in range(n_breathing):
             j = breathing[i]
@@ -408,13 +409,13 @@ def integrate_segment(
     return OK, sample, h
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _bend(value_0: float, value_1: float, value_2: float) -> float:
     """Second divided difference over the nodes 0, gamma and 1."""
     return (value_2 - value_1) / (1.0 - GAMMA) - (value_1 - value_0) / GAMMA
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _power(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> float:
     """``(p_exh - p_c) dV/dt`` at the stage, W."""
     pressure = work[j, STAGE] * work[j, PRESSURE_PER_MASS]
@@ -422,7 +423,7 @@ def _power(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> fl
     return (engine.exhaust_pressure - pressure) * rate
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _set_stage(
     engine: KernelEngine, window: Window, work: np.ndarray, j: int, tau: float, area_step: float
 ) -> bool:
@@ -435,7 +436,7 @@ def _set_stage(
     return runner > 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _record(
     engine: KernelEngine,
     window: Window,
@@ -453,6 +454,7 @@ def _record(
     throttle_2: float,
     pressure: float,
     trace: np.ndarray,
+    first: int,
     sample: int,
 ) -> int:
     """Write the trace samples inside one step.
@@ -464,7 +466,7 @@ def _record(
     start = now + begin
     per_step = 1.0 / (GAMMA * h)
     here = np.empty((1, WORKSPACE_COLUMNS))
-    while sample < trace.shape[1] and sample * window.spacing < start + h - SAME_TIME:
+    while sample < window.samples and sample * window.spacing < start + h - SAME_TIME:
         u = max((sample * window.spacing - start) / h, 0.0)
         turn = _turn(window, swing_rate, swing_decay, u * h)
         throttle_0 = manifold[THROTTLE_FLOW]
@@ -480,23 +482,23 @@ def _record(
                 here[0, c] = work[j, OLD + c]
             _turn_forcing(here, 0, turn, math.exp(work[j, RATE] * u * h))
             r = TRACE_FIRST + TRACE_STRIDE * j
-            trace[r + TRACE_MASS, sample] = _cubic(
+            trace[r + TRACE_MASS, first + sample] = _cubic(
                 u, h, work[j, START], work[j, STAGE], flow_0, flow_2
             )
-            trace[r + TRACE_FLOW, sample] = _quadratic(u, flow_0, flow_1, flow_2)
-            trace[r + TRACE_RUNNER, sample] = _runner(engine, window, here, 0)
-            trace[r + TRACE_LIFT, sample] = _lift(engine, here, 0, begin + u * h)
+            trace[r + TRACE_FLOW, first + sample] = _quadratic(u, flow_0, flow_1, flow_2)
+            trace[r + TRACE_RUNNER, first + sample] = _runner(engine, window, here, 0)
+            trace[r + TRACE_LIFT, first + sample] = _lift(engine, here, 0, begin + u * h)
         old_mass, new_mass = manifold[MANIFOLD_MASS], engine.capacity * pressure
-        trace[TRACE_PRESSURE, sample] = (
+        trace[TRACE_PRESSURE, first + sample] = (
             _cubic(u, h, old_mass, new_mass, net_0, net_2) / engine.capacity
         )
-        trace[TRACE_THROTTLE, sample] = _quadratic(u, throttle_0, throttle_1, throttle_2)
+        trace[TRACE_THROTTLE, first + sample] = _quadratic(u, throttle_0, throttle_1, throttle_2)
         sample += 1
     manifold[MANIFOLD_MASS] = engine.capacity * pressure
     return sample
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: float) -> float:
     """Hermite cubic through the ends of a step."""
     v = 1.0 - u
@@ -504,14 +506,14 @@ def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: 
     return y_0 + end * (y_2 - y_0) + u * v * h * (v * slope_0 - u * slope_2)
 
 
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
+@compiled
 def _quadratic(u: float, y_0: float, y_1: float, y_2: float) -> float:
     """Parabola through the nodes 0, gamma and 1."""
     slope = (y_1 - y_0) / GAMMA
     return y_0 + u * (slope + (u - GAMMA) * _bend(y_0, y_1, y_2))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def fill_segment(
     engine: KernelEngine,
     window: Window,
@@ -519,16 +521,17 @@ def fill_segment(
     now: float,
     length: float,
     trace: np.ndarray,
+    first: int,
     sample: int,
 ) -> int:
     """Fill the manifold while no cylinder breathes, exactly; returns the next trace sample."""
     full = engine.capacity * engine.ambient_pressure
     rate = window.throttle_area / full
     x = manifold[MANIFOLD_MASS] / full
-    while sample < trace.shape[1] and sample * window.spacing < now + length - SAME_TIME:
+    while sample < window.samples and sample * window.spacing < now + length - SAME_TIME:
         y = fill_from_ambient(x, rate * max(sample * window.spacing - now, 0.0))
-        trace[TRACE_PRESSURE, sample] = y * engine.ambient_pressure
-        trace[TRACE_THROTTLE, sample] = window.throttle_area * _throttle_flow(y)
+        trace[TRACE_PRESSURE, first + sample] = y * engine.ambient_pressure
+        trace[TRACE_THROTTLE, first + sample] = window.throttle_area * _throttle_flow(y)
         sample += 1
     y = fill_from_ambient(x, rate * length)
     manifold[INFLOW] += full * (y - x)
@@ -537,7 +540,7 @@ def fill_segment(
     return sample
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled
 def _throttle_flow(x: float) -> float:
     """Eq. 13-14 for the pressure ratio `x` of a volume behind the throttle."""
     if x <= 1.0:

@@ -471,6 +471,7 @@ class PlantRun:
             cylinders,
             manifold,
             raw,
+            0,
         )
         _check_status(status, speed)
         self.speed_rpm, self.throttle_deg = speed, throttle

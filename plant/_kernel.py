@@ -49,7 +49,7 @@ from ._segment import (
     COS,
     FREE_IM,
     FREE_RE,
-    POWER,
+    POWER_0,
     SIN,
     WORKSPACE_COLUMNS,
     fill_segment,
@@ -235,7 +235,7 @@ def _prepare(
     space[SIN], space[COS] = s, c
     pressure = row[MASS] * engine.gas / _volume(engine, c)
     rate = engine.half_stroke_volume * window.omega * s
-    space[POWER] = (engine.exhaust_pressure - pressure) * rate
+    space[POWER_0] = (engine.exhaust_pressure - pressure) * rate
     velocity = row[VELOCITY] - window.velocity_sin * s - window.velocity_cos * c
     rate = row[ACCELERATION] - window.acceleration_sin * s - window.acceleration_cos * c
     # Free velocity Re(b exp(pole t)); its rate has the phasor pole b.

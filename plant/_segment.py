@@ -1,10 +1,10 @@
 """Compiled integration of one segment, between two cuts of the valve motions.
 
 All forcing (volume, runner, lift) is a sum of exponentials in time, which turn from stage to
-stage by a multiplication. A step is SDIRK2, the L-stable second-order diagonally implicit
-Runge-Kutta method with ``gamma = 1 - 1/sqrt(2)``; a stage solves every orifice in closed
-form, coupled through the manifold pressure by a Newton sweep. Steps are the segment's length
-over a power of two, chosen by an estimate of the local error in mass and in work.
+stage by a multiplication. A step is ESDIRK3(2)4L[2]SA, a third-order, L-stable, stiffly
+accurate Runge-Kutta method of stage order 2; each of its three implicit stages solves every
+orifice in closed form, coupled through the manifold pressure by a Newton sweep. Steps are the
+segment's length over a power of two, chosen by an estimate of the local error in mass and work.
 """
 
 from __future__ import annotations
@@ -49,20 +49,28 @@ from ._layout import (
     Window,
 )
 
-GAMMA = 1.0 - math.sqrt(0.5)
-CARRY = (1.0 - GAMMA) / GAMMA  # weight of the first stage's increment in the second stage
-# Third-order weights of the nodes 0, gamma and 1, for the work integral.
-NODE_1 = 1.0 / (6.0 * GAMMA * (1.0 - GAMMA))
-NODE_2 = (1.0 / 3.0 - 0.5 * GAMMA) / (1.0 - GAMMA)
-NODE_0 = 1.0 - NODE_1 - NODE_2
-# Local errors over the second divided difference of the flow, or of the power, times h.
-MASS_ERROR = 0.08  # of the method for y' = lambda y
-WORK_ERROR = 0.02  # of the stage weights against the third-order ones
-TOLERANCE = 2e-5  # local error of a mass over that mass, at resolution 1
+# ESDIRK3(2)4L[2]SA of Kennedy and Carpenter (2003): nodes 0, C_1, C_2, 1; the last stage is
+# the step's end.
+GAMMA = 1767732205903 / 4055673282236
+C_1, C_2 = 2.0 * GAMMA, 0.6
+A_20, A_21 = 2746238789719 / 10658868560708, -640167445237 / 6845629431997
+B_0, B_1 = 1471266399579 / 7840856788654, -4482444167858 / 7529755066697
+B_2 = 11266239266428 / 11593286722821
+# Weights of the error estimate: the step less the embedded second-order one.
+E_0 = B_0 - 2756255671327 / 12835298489170
+E_1 = B_1 + 10771552573575 / 22201958757719
+E_2 = B_2 - 9247589265047 / 10645013368117
+E_3 = GAMMA - 2193209047091 / 5459859503100
+TOLERANCE = 5e-6  # local error of a mass over that mass, at resolution 1
 WORK_TOLERANCE = 5e-5  # local error of the work over itself or 0.5 J, at resolution 1
 LEAST_WORK = 0.5  # J
-GROW_BELOW = 0.06  # local error over the tolerance at which the step may double
+GROW_BELOW = 0.1  # local error over the tolerance at which the step may double
 LONGEST_STEP_DEG = 10.0
+# A step may not leap over forcing that its nodes do not see: e-folds of the lift's exponential
+# and radians of its oscillation while they are a share of the lift, radians of the runner.
+LONGEST_FOLD = 1.5
+LONGEST_SWING = 1.0
+SEEN_SHARE = 1e-3
 SWEEP_TOLERANCE = 1e-4  # change of the manifold pressure, relative, that needs no more sweeps
 MOST_SWEEPS = 60
 LEVELS = 14  # the shortest step is a segment over 2 to this power
@@ -74,18 +82,14 @@ SWING_RE, SWING_IM = 4, 5  # of the oscillation (Im) or the cam (Re)
 EXPONENTIAL = 6  # part of the lift
 TURNING = 7
 OLD = 7  # the same seven at the start of the step: columns 7 to 13
-GROWTH_1, GROWTH_2 = 14, 15  # factors of the exponential over the two stages
-CONSTANT, SLOPE, SCALE, RATE = (
-    16,
-    17,
-    18,
-    19,
-)  # lift = constant + slope t + exponential + scale x swing
-START, BASE, STAGE, STAGE_1 = 20, 21, 22, 23  # masses: at the start of the step, known, solved
+GROWTH_1, GROWTH_2, GROWTH_3 = 14, 15, 16  # factors of the exponential from stage to stage
+CONSTANT, SLOPE, SCALE, RATE = 17, 18, 19, 20  # lift = constant + slope t + exp. + scale swing
+START, BASE, STAGE = 21, 22, 23  # masses: at the start of the step, known, solved
 AREA, CAPACITY, SENSITIVITY = 24, 25, 26  # gamma h A_v; K/p_m; dM/dp_m
 PRESSURE_PER_MASS = 27  # R T/V
-POWER, POWER_1, POWER_2 = 28, 29, 30  # (p_exh - p_c) dV/dt at the nodes of the step
-WORKSPACE_COLUMNS = 31
+FLOW_0, FLOW_1, FLOW_2, FLOW_3 = 28, 29, 30, 31  # port flow at the nodes
+POWER_0, POWER_1, POWER_2, POWER_3 = 32, 33, 34, 35  # (p_exh - p_c) dV/dt at the nodes
+WORKSPACE_COLUMNS = 36
 
 
 class _Turn(NamedTuple):
@@ -276,6 +280,8 @@ def integrate_segment(
     tracing = window.samples > 0
     tighter = window.resolution**3
     longest = LONGEST_STEP_DEG / window.degree_rate / window.resolution
+    if engine.runner_gain > 0.0:
+        longest = min(longest, LONGEST_SWING / window.pole_im)
     span = 1 << LEVELS
     stride = span
     h = length
@@ -285,83 +291,125 @@ def integrate_segment(
     position = 0
     fresh = True  # the turning factors belong to another step
     turn_1 = _turn(window, swing_rate, swing_decay, 0.0)
-    turn_2 = turn_1
+    turn_2, turn_3 = turn_1, turn_1
     mass = manifold[MANIFOLD_MASS]
     pressure = mass / engine.capacity
     pressure_rate = 0.0
+    for i in range(n_breathing):
+        work[breathing[i], FLOW_0] = cylinders[breathing[i], FLOW]
+    inlet_0 = manifold[THROTTLE_FLOW]
     while position < span:
         if fresh:
             h = length * (stride / span)
-            turn_1 = _turn(window, swing_rate, swing_decay, GAMMA * h)
-            turn_2 = _turn(window, swing_rate, swing_decay, (1.0 - GAMMA) * h)
+            turn_1 = _turn(window, swing_rate, swing_decay, C_1 * h)
+            turn_2 = _turn(window, swing_rate, swing_decay, (C_2 - C_1) * h)
+            turn_3 = _turn(window, swing_rate, swing_decay, (1.0 - C_2) * h)
             for i in range(n_breathing):
                 j = breathing[i]
                 rate = work[j, RATE]
                 if rate != 0.0:
-                    work[j, GROWTH_1] = math.exp(rate * GAMMA * h)
-                    work[j, GROWTH_2] = math.exp(rate * (1.0 - GAMMA) * h)
+                    work[j, GROWTH_1] = math.exp(rate * C_1 * h)
+                    work[j, GROWTH_2] = math.exp(rate * (C_2 - C_1) * h)
+                    work[j, GROWTH_3] = math.exp(rate * (1.0 - C_2) * h)
                 else:
-                    work[j, GROWTH_1], work[j, GROWTH_2] = 1.0, 1.0
+                    work[j, GROWTH_1], work[j, GROWTH_2], work[j, GROWTH_3] = 1.0, 1.0, 1.0
             fresh = False
+        if stride > 1 and not _seen(work, breathing, n_breathing, h, swing_rate):
+            stride >>= 1
+            fresh = True
+            continue
         step = GAMMA * h
+        per_step = 1.0 / step
         begin = length * (position / span)
         throttle_step = step * window.throttle_area
 
-        # First stage.
+        # Stage at C_1; the flows at node 0 are known.
+        net_0 = inlet_0
         for i in range(n_breathing):
             j = breathing[i]
             for c in range(TURNING):
                 work[j, OLD + c] = work[j, c]
+            net_0 -= work[j, FLOW_0]
+            work[j, BASE] = work[j, START] + step * work[j, FLOW_0]
             _turn_forcing(work, j, turn_1, work[j, GROWTH_1])
-            if not _set_stage(engine, window, work, j, begin + step, step * flow_coefficients[j]):
+            area = step * flow_coefficients[j]
+            if not _set_stage(engine, window, work, j, begin + C_1 * h, area):
                 return RUNNER_COLLAPSED, sample, h
-            work[j, BASE] = work[j, START]
-        solved, pressure_1, gained_1, _ = _solve_stage(
-            engine, work, breathing, n_breathing, throttle_step, mass,
-            pressure + pressure_rate * step,
-        )  # fmt: skip
+        base = mass + step * net_0
+        guess = pressure + pressure_rate * (C_1 * h)
+        solved, pressure_1, inlet_1, _ = _solve_stage(
+            engine, work, breathing, n_breathing, throttle_step, base, guess
+        )
         if not solved:
             return NO_STAGE_SOLUTION, sample, h
-        # Second stage.
+        # Stage at C_2.
+        inlet_1 *= per_step
+        net_1 = inlet_1
         for i in range(n_breathing):
             j = breathing[i]
-            work[j, STAGE_1] = work[j, STAGE]
+            flow = (work[j, STAGE] - work[j, BASE]) * per_step
+            net_1 -= flow
+            work[j, FLOW_1] = flow
             work[j, POWER_1] = _power(engine, window, work, j)
+            work[j, BASE] = work[j, START] + h * (A_20 * work[j, FLOW_0] + A_21 * flow)
             _turn_forcing(work, j, turn_2, work[j, GROWTH_2])
-            if not _set_stage(engine, window, work, j, begin + h, step * flow_coefficients[j]):
+            area = step * flow_coefficients[j]
+            if not _set_stage(engine, window, work, j, begin + C_2 * h, area):
                 return RUNNER_COLLAPSED, sample, h
-            work[j, BASE] = work[j, START] + CARRY * (work[j, STAGE] - work[j, START])
-        solved, pressure_2, gained_2, damping = _solve_stage(
-            engine, work, breathing, n_breathing, throttle_step,
-            mass + CARRY * (engine.capacity * pressure_1 - mass),
-            pressure + (pressure_1 - pressure) / GAMMA,
-        )  # fmt: skip
+        base = mass + h * (A_20 * net_0 + A_21 * net_1)
+        guess = pressure + (pressure_1 - pressure) * (C_2 / C_1)
+        solved, pressure_2, inlet_2, _ = _solve_stage(
+            engine, work, breathing, n_breathing, throttle_step, base, guess
+        )
         if not solved:
             return NO_STAGE_SOLUTION, sample, h
+        # Stage at the end of the step.
+        inlet_2 *= per_step
+        net_2 = inlet_2
+        for i in range(n_breathing):
+            j = breathing[i]
+            flow = (work[j, STAGE] - work[j, BASE]) * per_step
+            net_2 -= flow
+            work[j, FLOW_2] = flow
+            work[j, POWER_2] = _power(engine, window, work, j)
+            work[j, BASE] = work[j, START] + h * (
+                B_0 * work[j, FLOW_0] + B_1 * work[j, FLOW_1] + B_2 * flow
+            )
+            _turn_forcing(work, j, turn_3, work[j, GROWTH_3])
+            area = step * flow_coefficients[j]
+            if not _set_stage(engine, window, work, j, begin + h, area):
+                return RUNNER_COLLAPSED, sample, h
+        base = mass + h * (B_0 * net_0 + B_1 * net_1 + B_2 * net_2)
+        guess = pressure_1 + (pressure_2 - pressure_1) * ((1.0 - C_1) / (C_2 - C_1))
+        solved, pressure_3, inlet_3, damping = _solve_stage(
+            engine, work, breathing, n_breathing, throttle_step, base, guess
+        )
+        if not solved:
+            return NO_STAGE_SOLUTION, sample, h
+        inlet_3 *= per_step
+        net_3 = inlet_3
 
         # Local error, relative to the tolerance. The share of a stiff component is damped as
         # the implicit step damps it.
         error = 0.0
-        per_step = 1.0 / step
-        net_0, net_1, net_2 = manifold[THROTTLE_FLOW], gained_1 * per_step, gained_2 * per_step
         for i in range(n_breathing):
             j = breathing[i]
-            flow_0 = cylinders[j, FLOW]
-            flow_1 = (work[j, STAGE_1] - work[j, START]) * per_step
-            flow_2 = (work[j, STAGE] - work[j, BASE]) * per_step
-            net_0, net_1, net_2 = net_0 - flow_0, net_1 - flow_1, net_2 - flow_2
-            damped = work[j, STAGE] - work[j, SENSITIVITY] * pressure_2
-            bend = abs(_bend(flow_0, flow_1, flow_2)) * damped
-            error = max(
-                error, MASS_ERROR * h * bend / (TOLERANCE * work[j, STAGE] * work[j, STAGE])
-            )
-            work[j, POWER_2] = _power(engine, window, work, j)
-            bend = abs(_bend(work[j, POWER], work[j, POWER_1], work[j, POWER_2]))
+            flow = (work[j, STAGE] - work[j, BASE]) * per_step
+            net_3 -= flow
+            work[j, FLOW_3] = flow
+            per_mass = 1.0 / work[j, STAGE]
+            damped = 1.0 - work[j, SENSITIVITY] * pressure_3 * per_mass
+            defect = E_0 * work[j, FLOW_0] + E_1 * work[j, FLOW_1] + E_2 * work[j, FLOW_2]
+            defect = abs(defect + E_3 * flow) * h * per_mass
+            error = max(error, defect * damped * (1.0 / TOLERANCE))
+            work[j, POWER_3] = _power(engine, window, work, j)
+            defect = E_0 * work[j, POWER_0] + E_1 * work[j, POWER_1] + E_2 * work[j, POWER_2]
+            defect = abs(defect + E_3 * work[j, POWER_3]) * h
             allowed = WORK_TOLERANCE * max(abs(cylinders[j, WORK]), LEAST_WORK)
-            error = max(error, WORK_ERROR * h * bend / allowed)
-        bend = abs(_bend(net_0, net_1, net_2)) * damping
-        error = max(error, MASS_ERROR * h * bend / (TOLERANCE * engine.capacity * pressure_2))
-        error *= tighter
+            error = max(error, defect / allowed)
+        defect = abs(E_0 * net_0 + E_1 * net_1 + E_2 * net_2 + E_3 * net_3) * h
+        allowed = TOLERANCE * engine.capacity * pressure_3
+        error = tighter * max(error, defect * damping / allowed)
         if error > 1.0 and stride > 1:
             for i in range(n_breathing):
                 j = breathing[i]
@@ -371,26 +419,24 @@ def integrate_segment(
             fresh = True
             continue
 
-        throttle_flow = gained_2 * per_step
         if tracing:
             sample = _record(
-                engine, window, cylinders, manifold, work, breathing, n_breathing, now, begin, h,
-                swing_rate, swing_decay, gained_1 * per_step, throttle_flow, pressure_2, trace,
+                engine, window, manifold, work, breathing, n_breathing, now, begin, h,
+                swing_rate, swing_decay, inlet_0, inlet_2, inlet_3, pressure_3, trace,
                 first, sample,
             )  # fmt: skip
         for i in range(n_breathing):
             j = breathing[i]
-            cylinders[j, FLOW] = (work[j, STAGE] - work[j, BASE]) * per_step
-            cylinders[j, WORK] += h * (
-                NODE_0 * work[j, POWER] + NODE_1 * work[j, POWER_1] + NODE_2 * work[j, POWER_2]
-            )
-            work[j, POWER] = work[j, POWER_2]
+            power = B_0 * work[j, POWER_0] + B_1 * work[j, POWER_1] + B_2 * work[j, POWER_2]
+            cylinders[j, WORK] += h * (power + GAMMA * work[j, POWER_3])
+            work[j, POWER_0] = work[j, POWER_3]
+            work[j, FLOW_0] = work[j, FLOW_3]
             work[j, START] = work[j, STAGE]
-        pressure_rate = (pressure_2 - pressure) / h
-        pressure = pressure_2
+        pressure_rate = (pressure_3 - pressure_2) / ((1.0 - C_2) * h)
+        pressure = pressure_3
         mass = engine.capacity * pressure
-        manifold[INFLOW] += CARRY * gained_1 + gained_2
-        manifold[THROTTLE_FLOW] = throttle_flow
+        manifold[INFLOW] += h * (B_0 * inlet_0 + B_1 * inlet_1 + B_2 * inlet_2 + GAMMA * inlet_3)
+        inlet_0 = inlet_3
         position += stride
         doubled = 2 * stride
         if (
@@ -405,14 +451,38 @@ def integrate_segment(
     for i in range(n_breathing):
         j = breathing[i]
         cylinders[j, MASS] = work[j, START]
+        cylinders[j, FLOW] = work[j, FLOW_0]
     manifold[MANIFOLD_MASS] = mass
+    manifold[THROTTLE_FLOW] = inlet_0
     return OK, sample, h
 
 
 @compiled
+def _seen(
+    work: np.ndarray, breathing: np.ndarray, n_breathing: int, h: float, swing_rate: float
+) -> bool:
+    """Whether a step is short enough for the lifts' exponentials and oscillations."""
+    for i in range(n_breathing):
+        j = breathing[i]
+        share = SEEN_SHARE * work[j, CONSTANT]
+        rate = work[j, RATE]
+        if abs(rate) * h > LONGEST_FOLD:
+            largest = -work[j, EXPONENTIAL]
+            if rate > 0.0:
+                largest *= work[j, GROWTH_1] * work[j, GROWTH_2] * work[j, GROWTH_3]
+            if largest > share:
+                return False
+        if swing_rate * h > LONGEST_SWING and work[j, SCALE] != 0.0:
+            size = abs(work[j, SWING_RE]) + abs(work[j, SWING_IM])
+            if abs(work[j, SCALE]) * size > 10.0 * share:
+                return False
+    return True
+
+
+@compiled
 def _bend(value_0: float, value_1: float, value_2: float) -> float:
-    """Second divided difference over the nodes 0, gamma and 1."""
-    return (value_2 - value_1) / (1.0 - GAMMA) - (value_1 - value_0) / GAMMA
+    """Second divided difference over the nodes 0, C_2 and 1."""
+    return (value_2 - value_1) / (1.0 - C_2) - (value_1 - value_0) / C_2
 
 
 @compiled
@@ -440,7 +510,6 @@ def _set_stage(
 def _record(
     engine: KernelEngine,
     window: Window,
-    cylinders: np.ndarray,
     manifold: np.ndarray,
     work: np.ndarray,
     breathing: np.ndarray,
@@ -450,6 +519,7 @@ def _record(
     h: float,
     swing_rate: float,
     swing_decay: float,
+    throttle_0: float,
     throttle_1: float,
     throttle_2: float,
     pressure: float,
@@ -460,22 +530,18 @@ def _record(
     """Write the trace samples inside one step.
 
     Masses by the cubic, flows by the quadratic that the step's nodes define; lift and runner
-    by turning the forcing from the start of the step. `cylinders` and `manifold` still hold
-    the start of the step, `work` its end.
+    by turning the forcing from the start of the step. `manifold` still holds the start
+    of the step.
     """
     start = now + begin
-    per_step = 1.0 / (GAMMA * h)
     here = np.empty((1, WORKSPACE_COLUMNS))
     while sample < window.samples and sample * window.spacing < start + h - SAME_TIME:
         u = max((sample * window.spacing - start) / h, 0.0)
         turn = _turn(window, swing_rate, swing_decay, u * h)
-        throttle_0 = manifold[THROTTLE_FLOW]
         net_0, net_2 = throttle_0, throttle_2
         for i in range(n_breathing):
             j = breathing[i]
-            flow_0 = cylinders[j, FLOW]
-            flow_1 = (work[j, STAGE_1] - work[j, START]) * per_step
-            flow_2 = (work[j, STAGE] - work[j, BASE]) * per_step
+            flow_0, flow_1, flow_2 = work[j, FLOW_0], work[j, FLOW_2], work[j, FLOW_3]
             net_0, net_2 = net_0 - flow_0, net_2 - flow_2
             here[0] = work[j]
             for c in range(TURNING):
@@ -508,9 +574,9 @@ def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: 
 
 @compiled
 def _quadratic(u: float, y_0: float, y_1: float, y_2: float) -> float:
-    """Parabola through the nodes 0, gamma and 1."""
-    slope = (y_1 - y_0) / GAMMA
-    return y_0 + u * (slope + (u - GAMMA) * _bend(y_0, y_1, y_2))
+    """Parabola through the nodes 0, C_2 and 1."""
+    slope = (y_1 - y_0) / C_2
+    return y_0 + u * (slope + (u - C_2) * _bend(y_0, y_1, y_2))
 
 
 @compiled

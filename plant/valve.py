@@ -106,13 +106,17 @@ def profile_corners(
     """Corner times of Eq. 20 in s, in the order of `ProfileCorners`.
 
     The dwell ``s`` is divided in the ratio that makes both exponentials meet; for equal
-    slopes that is the paper's ``s/2``.
+    slopes that is the paper's ``s/2``. Where both have died out there, the mirror image
+    starts later, at the last point where it is still zero to rounding: from a dwell of many
+    time constants, its start would underflow.
     """
     ramp = (1.0 - roundness) * lift_mm
     rise = ramp / opening_slope_mm_s
     fall = (ramp - seating_slope_mm_s * seating_duration) / closing_slope_mm_s
     dwell = duration - rise - fall - seating_duration
     turn = rise + dwell * closing_slope_mm_s / (opening_slope_mm_s + closing_slope_mm_s)
+    nothing = 36.0 * roundness * lift_mm / closing_slope_mm_s  # exp(-36) = 2e-16
+    turn = max(turn, rise + dwell - nothing)
     return rise, turn, rise + dwell, duration - seating_duration, duration
 
 
@@ -232,20 +236,25 @@ def deliverable_lift_mm(
         return lift
     what = f"duration {command.duration_deg:g} deg at {speed_rpm:g} rpm"
     if highest < v.lowest_lift_mm:
-        shortest = 6.0 * speed_rpm * shortest_duration(v.lowest_lift_mm, v)
+        shortest = _rounded_up(6.0 * speed_rpm * shortest_duration(v.lowest_lift_mm, v))
         raise InfeasibleProfileError(
             f"{what} is too short for any valve motion: lengthen the duration to at least "
             f"{shortest:.1f} deg",
             highest_lift_mm=0.0,
         )
     if on_infeasible == "raise":
-        needed = 6.0 * speed_rpm * shortest_duration(lift, v)
+        needed = _rounded_up(6.0 * speed_rpm * shortest_duration(lift, v))
         raise InfeasibleProfileError(
             f"{what} cannot reach {lift:g} mm (at most {highest:.2f} mm): lower the lift, "
             f"lengthen the duration to at least {needed:.1f} deg, or pass on_infeasible='limit'",
             highest_lift_mm=highest,
         )
     return highest
+
+
+def _rounded_up(duration_deg: float) -> float:
+    """Round to a tenth of a degree upwards, so that the advice can be followed."""
+    return math.ceil(10.0 * duration_deg) / 10.0
 
 
 @dataclass(frozen=True)

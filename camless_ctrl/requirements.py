@@ -1,0 +1,265 @@
+"""The requirements, each stated once: name, bound, unit, source.
+
+Report, command line and tests read them from here. A requirement that is not met stays in the
+table as not met.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from plant._checks import in_range, one_of
+from plant.errors import ParameterError
+
+Sense = Literal["at most", "at least"]
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A bound on one figure.
+
+    Parameters
+    ----------
+    name : str
+        Short name, unique.
+    bound : float
+        The bound, in `unit`.
+    unit : str
+        Unit of bound and value.
+    sense : {"at most", "at least"}
+        Which side of the bound is allowed.
+    source : str
+        Who asks for it.
+    description : str
+        What is measured, and how.
+    """
+
+    name: str
+    bound: float
+    unit: str
+    sense: Sense
+    source: str
+    description: str
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.description or not self.source:
+            raise ParameterError(
+                f"requirement {self.name!r} lacks a name, source or description: give all three"
+            )
+        in_range("bound", self.bound, -1e12, 1e12, self.unit)
+        one_of("sense", self.sense, ("at most", "at least"))
+
+    def __str__(self) -> str:
+        """Return name, sense and bound."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name} {self.sense} {self.bound:g}{unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementResult:
+    """A requirement and the figure that was found; NaN is never enough.
+
+    Attributes
+    ----------
+    requirement : Requirement
+        The requirement.
+    value : float
+        What was found, in its unit.
+    note : str
+        Remark for the table.
+    """
+
+    requirement: Requirement
+    value: float
+    note: str = ""
+
+    @property
+    def margin(self) -> float:
+        """Distance to the bound, in its unit; negative if not met."""
+        sign = 1.0 if self.requirement.sense == "at least" else -1.0
+        return sign * (self.value - self.requirement.bound)
+
+    @property
+    def met(self) -> bool:
+        """Whether the value is on the allowed side of the bound, or on it."""
+        return bool(self.margin >= 0.0)
+
+    def __str__(self) -> str:
+        """Return requirement, value and verdict in one line."""
+        unit = "" if self.requirement.unit == "1" else f" {self.requirement.unit}"
+        value = "none" if math.isnan(self.value) else f"{self.value:.4g}{unit}"
+        text = f"{self.requirement}: {value}, {'met' if self.met else 'NOT MET'}"
+        return f"{text} ({self.note})" if self.note else text
+
+
+_PAPER = "Part I, published figures"
+_DESIGN = "project"
+
+REQUIREMENTS: dict[str, Requirement] = {
+    requirement.name: requirement
+    for requirement in (
+        Requirement(
+            "published-worst",
+            2.0,
+            "%",
+            "at most",
+            _PAPER,
+            "largest relative error of the nine published model figures",
+        ),
+        Requirement(
+            "published-rms",
+            0.7,
+            "%",
+            "at most",
+            _PAPER,
+            "rms of the relative errors of the nine published model figures",
+        ),
+        Requirement(
+            "map-charge-rms",
+            0.3,
+            "%",
+            "at most",
+            _DESIGN,
+            "rms error of the charge map between its nodes, of the largest charge at that speed",
+        ),
+        Requirement(
+            "map-charge-worst",
+            1.5,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest error of the charge map between its nodes, of the largest charge at that "
+            "speed",
+        ),
+        Requirement(
+            "map-loss-rms",
+            0.5,
+            "%",
+            "at most",
+            _DESIGN,
+            "rms error of the pumping-loss map between its nodes, of the largest loss at that "
+            "speed",
+        ),
+        Requirement(
+            "map-loss-worst",
+            3.0,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest error of the pumping-loss map between its nodes, of the largest loss at "
+            "that speed",
+        ),
+        Requirement(
+            "loop-spectral-radius",
+            0.999,
+            "1",
+            "at most",
+            _DESIGN,
+            "largest closed-loop pole radius per cycle of any mode at any speed, sensor nominal",
+        ),
+        Requirement(
+            "loop-worst-spectral-radius",
+            0.999,
+            "1",
+            "at most",
+            _DESIGN,
+            "the same over MAF lag 10 to 20 ms, delay 0 to 3 ms and the bound on gain error",
+        ),
+        Requirement(
+            "loop-gain-margin",
+            2.0,
+            "1",
+            "at least",
+            _DESIGN,
+            "smallest gain margin (ratio) of any mode at any speed, sensor nominal",
+        ),
+        Requirement(
+            "loop-disk-margin",
+            0.67,
+            "1",
+            "at least",
+            _DESIGN,
+            "smallest balanced disk margin of any mode at any speed (gain a factor 2, phase 37 "
+            "deg), sensor nominal",
+        ),
+        Requirement(
+            "loop-small-gain",
+            1.0,
+            "1",
+            "at most",
+            _DESIGN,
+            "largest |w T| of any mode at any speed, w the bound on the relative gain error",
+        ),
+        Requirement(
+            "cylinder-error",
+            1.0,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest charge error of a cylinder in the load step with one weak cylinder at 1500 "
+            "rpm, averaged from 10 cycles after each step on",
+        ),
+        Requirement(
+            "imbalance",
+            0.5,
+            "%",
+            "at most",
+            _DESIGN,
+            "(max - min)/mean of the averaged charges in the same run",
+        ),
+        Requirement(
+            "command-lift-lowest", 0.5, "mm", "at least", _DESIGN, "lowest lift commanded in it"
+        ),
+        Requirement(
+            "command-lift-highest", 8.0, "mm", "at most", _DESIGN, "highest lift commanded in it"
+        ),
+    )
+}
+
+
+def requirement(name: str) -> Requirement:
+    """Return a stated requirement by its name.
+
+    Raises
+    ------
+    ParameterError
+        If there is none of that name.
+    """
+    return REQUIREMENTS[one_of("requirement", name, REQUIREMENTS)]
+
+
+def evaluate(which: Requirement | str, value: float, note: str = "") -> RequirementResult:
+    """Hold a figure against a requirement, given by itself or by name.
+
+    Parameters
+    ----------
+    which : Requirement or str
+        The requirement.
+    value : float
+        The figure, in the requirement's unit; NaN if there is none, which meets nothing.
+    note : str
+        Remark for the table.
+    """
+    return RequirementResult(
+        requirement(which) if isinstance(which, str) else which, float(value), note
+    )
+
+
+def table(results: Iterable[RequirementResult]) -> str:
+    """Return the results as text, a line each, and how many are met."""
+    rows = list(results)
+    width = max((len(row.requirement.name) for row in rows), default=0)
+    lines = []
+    for row in rows:
+        r = row.requirement
+        unit = "" if r.unit == "1" else f" {r.unit}"
+        value = "none" if math.isnan(row.value) else f"{row.value:.4g}{unit}"
+        lines.append(
+            f"{r.name:<{width}}  {r.sense} {r.bound:g}{unit:<4} {value:>12}  "
+            f"{'met' if row.met else 'NOT MET'}{f'  ({row.note})' if row.note else ''}"
+        )
+    met = sum(row.met for row in rows)
+    return "\n".join([*lines, f"{met} of {len(rows)} met"])

@@ -1,6 +1,6 @@
 """Crank-angle and mean-value plants of a camless engine's intake, sensors and identification."""
 
-from .crank_angle import CrankAnglePlant, PlantRun
+from .crank_angle import CrankAnglePlant
 from .cycle import CompletedEvent, Cycle, EventResult
 from .engine_fields import engine_fields, replace_engine_fields
 from .errors import ConvergenceError, InfeasibleProfileError, ParameterError, SimulationError
@@ -13,6 +13,7 @@ from .observations import ChargeObservation, Experiment, TraceObservation, charg
 from .parameters import Engine, HelmholtzRunner, Throttle, Valvetrain
 from .published import PUBLISHED_CLAIMS, PUBLISHED_POINTS, published_point
 from .region import OperatingPoint, OperatingRegion
+from .run import PlantRun
 from .sampling import CrankSampling, SensorSamples, TimeSampling
 from .sensor_run import (
     AirPathSamples,
@@ -26,7 +27,8 @@ from .state import PlantState
 from .sweep import SweepResult
 from .trace import Trace
 from .validation import ValidationReport, validate
-from .valve import ValveCommand, ValveProfile
+from .valve import ValveCommand
+from .valve_profile import ValveProfile
 
 __all__ = [
     "PUBLISHED_CLAIMS",

@@ -17,7 +17,21 @@ from typing import Any
 import numba
 
 _FOLDER = Path(__file__).parent
-_SOURCES = ("_compile.py", "_implicit.py", "_kernel.py", "_layout.py", "_segment.py", "valve.py")
+_SOURCES = (
+    "_compile.py",
+    "_fill.py",
+    "_forcing.py",
+    "_implicit.py",
+    "_kernel.py",
+    "_layout.py",
+    "_method.py",
+    "_record.py",
+    "_segment.py",
+    "_stage.py",
+    "_workspace.py",
+    "lag.py",
+    "valve.py",
+)
 
 
 def _cache_folder() -> str:

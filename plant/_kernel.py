@@ -14,6 +14,7 @@ import numpy as np
 
 from . import valve
 from ._compile import compiled
+from ._fill import fill_segment
 from ._layout import (
     ACCELERATION,
     CAM,
@@ -45,16 +46,8 @@ from ._layout import (
     KernelEngine,
     Window,
 )
-from ._segment import (
-    COS,
-    FREE_IM,
-    FREE_RE,
-    POWER_0,
-    SIN,
-    WORKSPACE_COLUMNS,
-    fill_segment,
-    integrate_segment,
-)
+from ._segment import integrate_segment
+from ._workspace import COS, FREE_IM, FREE_RE, POWER_0, SIN, WORKSPACE_COLUMNS
 
 FIRST_STEP_DEG = 0.5  # step that is tried first when a valve opens
 

@@ -11,15 +11,16 @@ import numpy as np
 from . import _kernel as kernel
 from . import _layout as layout
 from ._checks import in_range, one_of, positive
-from .cycle import CompletedEvent, Cycle, EventResult
-from .errors import ConvergenceError, ParameterError, SimulationError
+from ._kernel_interface import check_status, kernel_engine
+from .cycle import Cycle
+from .errors import ConvergenceError, ParameterError
 from .kinematics import FloatArray
-from .orifice import REFERENCE_PRESSURE, REFERENCE_TEMPERATURE
 from .parameters import Engine
-from .runner import forcing_amplitude, runner_gain
+from .run import PlantRun
 from .state import PlantState, fingerprint
 from .trace import Trace
-from .valve import OnInfeasible, ValveCommand, ValveProfile
+from .valve import OnInfeasible, ValveCommand
+from .valve_profile import ValveProfile
 
 Profile = Literal["camless", "conventional"]
 Orifice = Literal["simplified", "exact"]
@@ -79,7 +80,7 @@ class CrankAnglePlant:
                 "oscillation is True, but a conventional cam does not oscillate: use "
                 "profile='camless'"
             )
-        self._kernel_engine = _kernel_engine(
+        self._kernel_engine = kernel_engine(
             self.engine, self.runner, self.oscillation, self.profile, self.orifice
         )
         self._flow_coefficients = np.array(self.engine.flow_coefficients)
@@ -390,173 +391,4 @@ class CrankAnglePlant:
             manifold,
             trace,
         )
-        _check_status(status, window.degree_rate / 6.0)
-
-
-class PlantRun:
-    """A run of the plant, advanced event by event; made by `CrankAnglePlant.start`.
-
-    Attributes
-    ----------
-    plant : CrankAnglePlant
-        The plant.
-    state : PlantState
-        State at the start of the next event window; assign a saved one to go back to it.
-    speed_rpm, throttle_deg : float
-        Values of the last event, which hold until others are given.
-    """
-
-    def __init__(
-        self,
-        plant: CrankAnglePlant,
-        state: PlantState,
-        speed_rpm: float,
-        throttle_deg: float,
-        on_infeasible: OnInfeasible,
-    ) -> None:
-        self.plant = plant
-        self.state = state
-        self.speed_rpm = speed_rpm
-        self.throttle_deg = throttle_deg
-        self.on_infeasible = on_infeasible
-
-    @property
-    def next_cylinder(self) -> int:
-        """Cylinder (from 1) that opens in the next event window."""
-        return self.state.event_index % self.plant.engine.n_cylinders + 1
-
-    def step_event(
-        self,
-        command: ValveCommand,
-        *,
-        speed_rpm: float | None = None,
-        throttle_deg: float | None = None,
-        trace_step_deg: float | None = None,
-    ) -> EventResult:
-        """Advance by one event window; `command` is latched at the IVO in it.
-
-        Parameters
-        ----------
-        command : ValveCommand
-            Command for `next_cylinder`.
-        speed_rpm, throttle_deg : float, optional
-            Values over this window; those of the window before by default.
-        trace_step_deg : float, optional
-            Record signals at about this resolution.
-
-        Raises
-        ------
-        ParameterError, InfeasibleProfileError, SimulationError
-            As for `CrankAnglePlant.steady_cycle`; the run then stands where it stood.
-        """
-        plant, state = self.plant, self.state
-        speed, throttle, area = plant._operating_point(
-            self.speed_rpm if speed_rpm is None else speed_rpm,
-            self.throttle_deg if throttle_deg is None else throttle_deg,
-        )
-        if not isinstance(command, ValveCommand):
-            raise ParameterError(f"command is {command!r}, but must be a ValveCommand")
-        n = plant.engine.n_cylinders
-        advance = state.event_advance_deg
-        opening = state.event_index % n
-        event = layout.Event(
-            opening,
-            plant._until_opening(command, advance),
-            plant.valve_profile(command, speed, self.on_infeasible).delivered_lift_mm,
-            float(command.duration_deg),
-        )
-        samples = 0 if trace_step_deg is None else plant._samples_per_event(trace_step_deg)
-        window = plant._window(speed, area, samples)
-        raw = np.full((plant._trace_rows, samples), np.nan)
-        event_angle = plant.engine.event_angle_deg
-        angles = (opening - np.arange(n)) % n * event_angle - advance
-        cylinders, manifold = state.cylinders.copy(), state.manifold.copy()
-        status = kernel.advance_window(
-            plant._kernel_engine,
-            window,
-            event,
-            plant._flow_coefficients,
-            angles,
-            cylinders,
-            manifold,
-            raw,
-            0,
-        )
-        _check_status(status, speed)
-        self.speed_rpm, self.throttle_deg = speed, throttle
-        self.state = PlantState(
-            state.event_index + 1,
-            advance,
-            state.time + window.length,
-            cylinders,
-            manifold,
-            state.plant,
-        )
-        trace = None
-        if samples:
-            first = state.event_index * event_angle - advance
-            trace = Trace.from_kernel(raw, first, event_angle / samples, speed, plant.engine)
-        done = cylinders[:, layout.COMPLETED] > state.cylinders[:, layout.COMPLETED]
-        return EventResult(
-            event_index=state.event_index,
-            cylinder=opening + 1,
-            duration=window.length,
-            delivered_lift_mm=event.lift,
-            limited=event.lift < command.lift_mm,
-            completed=tuple(
-                CompletedEvent(
-                    int(j) + 1,
-                    float(cylinders[j, layout.CHARGE]),
-                    float(cylinders[j, layout.LOSS]),
-                )
-                for j in np.flatnonzero(done)
-            ),
-            throttle_mass=float(manifold[layout.INFLOW] - state.manifold[layout.INFLOW]),
-            manifold_pressure=float(manifold[layout.MANIFOLD_MASS] / plant._kernel_engine.capacity),
-            trace=trace,
-        )
-
-
-def _check_status(status: int, speed_rpm: float) -> None:
-    if status == layout.RUNNER_COLLAPSED:
-        raise SimulationError(
-            f"the runner pressure of Eq. 5 fell below zero at {speed_rpm:g} rpm: the runner's "
-            "acceleration term is too strong for this model (check runner_area, m2; the printed "
-            "1.43e-4 does this) or switch it off with runner=False"
-        )
-    if status == layout.NO_STAGE_SOLUTION:
-        raise SimulationError(
-            f"the manifold pressure of an implicit step did not settle at {speed_rpm:g} rpm: "
-            "raise the plant's resolution"
-        )
-
-
-def _kernel_engine(
-    engine: Engine, runner: bool, oscillation: bool, profile: str, orifice: str
-) -> layout.KernelEngine:
-    """Gather what the kernel needs of an engine."""
-    gas = engine.gas_constant * engine.temperature
-    v = engine.valvetrain
-    return layout.KernelEngine(
-        n_cylinders=int(engine.n_cylinders),
-        capacity=float(engine.manifold_volume / gas),
-        gas=float(gas),
-        half_stroke_volume=0.5 * engine.displaced_volume,
-        clearance_volume=float(engine.clearance_volume),
-        ambient_pressure=float(engine.ambient_pressure),
-        exhaust_pressure=float(engine.exhaust_pressure),
-        runner_gain=float(runner_gain(engine)) if runner else 0.0,
-        # per crank speed in rad/s: 30/pi rpm
-        runner_forcing=float(forcing_amplitude(engine, 30.0 / math.pi)),
-        opening_slope=float(v.opening_slope_mm_s),
-        closing_slope=float(v.closing_slope_mm_s),
-        seating_slope=float(v.seating_slope_mm_s),
-        seating_duration=float(v.seating_duration),
-        roundness=float(v.roundness),
-        oscillation_amplitude=float(v.oscillation_amplitude) if oscillation else 0.0,
-        oscillation_frequency=2.0 * math.pi / v.oscillation_period,
-        oscillation_decay=float(v.oscillation_decay_rate),
-        cam=profile == "conventional",
-        exact_orifice=orifice == "exact",
-        exact_scale=math.sqrt(REFERENCE_TEMPERATURE / engine.temperature) / REFERENCE_PRESSURE,
-    )
+        check_status(status, window.degree_rate / 6.0)

@@ -1,0 +1,99 @@
+"""Results held against the requirements that they decide, for report and command line alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .requirements import RequirementResult, evaluate
+
+if TYPE_CHECKING:
+    from plant.map_results import MapError
+    from plant.validation import ValidationReport
+
+    from .closed_loop import ClosedLoopResult
+    from .robustness import RobustnessResult
+
+AFTER_CYCLES = 10  # after each load step, before errors are averaged
+
+
+def assess_validation(report: ValidationReport) -> list[RequirementResult]:
+    """Requirements on the published figures that can be met."""
+    errors = [abs(row.relative_error) for row in report.figures if not row.known_exception]
+    return [
+        evaluate("published-worst", 100.0 * max(errors)),
+        evaluate("published-rms", 100.0 * report.rms),
+    ]
+
+
+def assess_maps(error: MapError) -> list[RequirementResult]:
+    """Requirements on the mean-value maps."""
+    return [
+        evaluate("map-charge-rms", 100.0 * error.charge_rms),
+        evaluate("map-charge-worst", 100.0 * error.charge_max, f"at {error.worst_charge}"),
+        evaluate("map-loss-rms", 100.0 * error.loss_rms),
+        evaluate("map-loss-worst", 100.0 * error.loss_max, f"at {error.worst_loss}"),
+    ]
+
+
+def assess_robustness(results: Sequence[RobustnessResult]) -> list[RequirementResult]:
+    """Requirements on the air-charge loop, over all speeds analysed; NaN where unstable."""
+    radii = [(mode.spectral_radius, r) for r in results for mode in r.modes]
+    radius, at = max(radii, key=lambda pair: pair[0])
+    worst = max(results, key=lambda r: r.worst[0])
+    worst_radius, lag, delay = worst.worst
+    return [
+        evaluate("loop-spectral-radius", radius, f"at {at.speed_rpm:g} rpm"),
+        evaluate(
+            "loop-worst-spectral-radius",
+            worst_radius,
+            f"at {worst.speed_rpm:g} rpm, lag {1e3 * lag:.0f} ms, delay {1e3 * delay:.1f} ms",
+        ),
+        evaluate("loop-gain-margin", least(r.gain_margin for r in results)),
+        evaluate("loop-disk-margin", least(r.disk_margin for r in results)),
+        # The largest is the least of the negatives: a NaN must not be lost.
+        evaluate("loop-small-gain", -least(-r.small_gain for r in results)),
+    ]
+
+
+def assess_load_step(result: ClosedLoopResult) -> list[RequirementResult]:
+    """Requirements on the load step with one weak cylinder."""
+    return [
+        evaluate("cylinder-error", 100.0 * result.worst_error(AFTER_CYCLES)),
+        evaluate("imbalance", 100.0 * result.worst_imbalance(AFTER_CYCLES)),
+        evaluate("command-lift-lowest", float(result.lift_mm.min())),
+        evaluate("command-lift-highest", float(result.lift_mm.max())),
+    ]
+
+
+def least(values: Iterable[float]) -> float:
+    """Smallest of the values; NaN if one of them is."""
+    return float(np.min(np.fromiter(values, dtype=float)))
+
+
+def as_dict(found: RequirementResult) -> dict[str, Any]:
+    """Return a requirement and what was found, for JSON."""
+    stated = found.requirement
+    return {
+        "name": stated.name,
+        "description": stated.description,
+        "sense": stated.sense,
+        "bound": stated.bound,
+        "value": found.value,
+        "margin": found.margin,
+        "unit": stated.unit,
+        "met": found.met,
+        "note": found.note,
+        "source": stated.source,
+    }
+
+
+def sentence(found: RequirementResult) -> str:
+    """Return what was found and what was asked, in words."""
+    stated = found.requirement
+    unit = "" if stated.unit == "1" else f" {stated.unit}"
+    value = "was not found" if np.isnan(found.value) else f"is {found.value:.4g}{unit}"
+    note = f" ({found.note})" if found.note else ""
+    return f"{stated.name} {value}, but must be {stated.sense} {stated.bound:g}{unit}{note}"

@@ -1,0 +1,87 @@
+"""`camless simulate`: the controller in closed loop with the full plant."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from ._common import JsonFile, Quiet, Seed, bar, out, print_requirements, status
+
+Demands = Annotated[
+    tuple[float, ...],
+    Parameter(
+        name="--demand-mg",
+        consume_multiple=True,
+        negative=(),
+        help="Demands in turn, mg per event.",
+    ),
+]
+
+
+def simulate(
+    *,
+    speed_rpm: Annotated[float, Parameter(help="Engine speed, rpm.")] = 1500.0,
+    demand_mg: Demands = (170.0, 400.0, 170.0),
+    cycles: Annotated[int, Parameter(help="Engine cycles per demand.")] = 40,
+    adapt: Annotated[
+        bool, Parameter(negative="--feedforward-alone", help="Adapt a factor per cylinder.")
+    ] = True,
+    seed: Seed = 1,
+    json: JsonFile = None,
+    quiet: Quiet = False,
+) -> int:
+    """Run load steps with one weak cylinder against the full plant, sensor lag and noise on.
+
+    The exit status is 1 when a requirement on the load step is not met.
+
+    Example: camless simulate --demand-mg 170 400 170 --json run.json
+    """
+    from plant._checks import positive, whole
+    from plant.mean_value import MeanValuePlant
+
+    from ..assessment import AFTER_CYCLES, as_dict, assess_load_step
+    from ..closed_loop import run_load_step
+    from ..jsonable import to_json
+    from ..output import reserved_file
+
+    positive("speed_rpm", speed_rpm, "rpm")
+    for value in demand_mg:
+        positive("demand_mg", value, "mg")
+    whole("seed", seed, 0, 2**63 - 1)
+    whole(
+        "cycles",
+        cycles,
+        AFTER_CYCLES + 1,
+        100_000,
+        remedy=f"errors are averaged from cycle {AFTER_CYCLES} on",
+    )
+    with reserved_file(json) as file:
+        with bar("maps", quiet) as progress:
+            maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))
+            result = run_load_step(
+                maps,
+                speed_rpm=speed_rpm,
+                demand_mg=demand_mg,
+                cycles=cycles,
+                seed=seed,
+                adapt=adapt,
+            )
+        found = assess_load_step(result)
+        if file is not None:
+            signals = {
+                str(name): {"unit": signal.attrs["units"], "values": signal.to_numpy()}
+                for name, signal in result.to_dataset().items()
+            }
+            content = {
+                "name": result.name,
+                "seed": result.seed,
+                "adapt": adapt,
+                "signals": signals,
+                "requirements": [as_dict(f) for f in found],
+            }
+            file.write(to_json(content))
+    console = out(quiet)
+    console.print(str(result), markup=False)
+    print_requirements(console, found)
+    return status(found)

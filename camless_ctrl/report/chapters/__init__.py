@@ -1,0 +1,31 @@
+"""The chapters of the report, one file each, in the order of the page."""
+
+from __future__ import annotations
+
+from ..chapter import Chapter
+from .closed_loop import ClosedLoopChapter
+from .deltas import DeltasChapter
+from .engine import EngineChapter
+from .intake import IntakeChapter
+from .maps import MapsChapter
+from .reproducibility import ReproducibilityChapter
+from .requirements import RequirementsChapter
+from .robustness import RobustnessChapter
+from .summary import SummaryChapter
+from .validation import ValidationChapter
+
+
+def default_chapters() -> tuple[Chapter, ...]:
+    """Return the chapters of the whole report."""
+    return (
+        SummaryChapter(),
+        EngineChapter(),
+        ValidationChapter(),
+        IntakeChapter(),
+        MapsChapter(),
+        DeltasChapter(),
+        RobustnessChapter(),
+        ClosedLoopChapter(),
+        RequirementsChapter(),
+        ReproducibilityChapter(),
+    )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -203,6 +204,46 @@ class ClosedLoopResult:
                 "cycles: average from an earlier cycle, or run longer"
             )
         return self.relative_error[part.start + after_cycles : part.stop]
+
+
+def averaged(runs: Sequence[ClosedLoopResult]) -> ClosedLoopResult:
+    """Return the mean of runs that differ in their seed: what noise does not explain.
+
+    Parameters
+    ----------
+    runs : sequence of ClosedLoopResult
+        Runs of the same events.
+
+    Raises
+    ------
+    ParameterError
+        If there are none, or they differ in demand, speed or number of cylinders.
+    """
+    if not runs:
+        raise ParameterError("there are no runs to average: give one or more")
+    first = runs[0]
+    for run in runs[1:]:
+        same = run.n_cylinders == first.n_cylinders
+        same = same and np.array_equal(run.demand, first.demand)
+        if not (same and np.array_equal(run.speed_rpm, first.speed_rpm)):
+            raise ParameterError(
+                f"run {run.name!r} and run {first.name!r} differ in demand, speed or cylinders: "
+                "average runs that differ in their seed alone"
+            )
+
+    def mean(name: str) -> FloatArray:
+        return np.asarray(np.mean([getattr(run, name) for run in runs], axis=0))
+
+    return replace(
+        first,
+        name=f"{first.name}, mean of {len(runs)} seeds" if len(runs) > 1 else first.name,
+        limited=np.any([run.limited for run in runs], axis=0),
+        charge=mean("charge"),
+        estimate=mean("estimate"),
+        lift_mm=mean("lift_mm"),
+        duration_deg=mean("duration_deg"),
+        factor=mean("factor"),
+    )
 
 
 def simulate(

@@ -75,7 +75,9 @@ class GrowthCheck:
 
     @property
     def agrees(self) -> bool:
-        """Whether both say stable or both say unstable."""
+        """Whether both say stable, both unstable, or both that a held mode stays."""
+        if self.predicted == 1.0:
+            return abs(self.simulated - 1.0) < CLOSE
         return (self.predicted < 1.0) == (self.simulated < 1.0)
 
     def __str__(self) -> str:
@@ -209,6 +211,8 @@ def check_growth(
     rate = np.polyfit(linear, np.log(size[linear]), 1)[0] if linear.size > 3 else math.nan
     loop = result.loop(delay=delay, sensitivity=gain_factor * result.local.sensitivity)
     predicted = next(mode.spectral_radius for mode in loop.modes() if mode.q == q)
+    if q > 0 and result.gains.imbalance == 0.0:
+        predicted = 1.0  # held: what is there stays
     return GrowthCheck(result.speed_rpm, q, delay, gain_factor, predicted, float(np.exp(rate)))
 
 

@@ -146,7 +146,7 @@ class EventLoop:
             self.measurement.event_time,
             inputs=["estimate"],
             outputs=["correction"],
-            states=[f"factor_{i}_events_ahead" for i in range(self.n_cylinders)],
+            states=[f"factor_{i}_events_ahead" for i in range(len(A))],
             name="adaptation",
         )
         loop = control.interconnect(
@@ -179,15 +179,18 @@ class EventLoop:
             B[:, i] += shared
             B[(i - self.latency) % n, i] += self.gains.imbalance
             D[i] = B[i]  # what has arrived up to event i is in the correction of cylinder i
+        A, C = np.eye(n), np.eye(n)
+        if self.gains.imbalance == 0.0:  # differences are held: one factor moves for all
+            A, B, C = np.eye(1), B[:1], np.ones((n, 1))
         law = control.ss(
-            np.eye(n),
+            A,
             B,
-            self.sensitivity * np.eye(n),
+            self.sensitivity * C,
             self.sensitivity * D,
             cycle_time,
             inputs=[f"estimate[{i + 1}]" for i in range(n)],
             outputs=[f"correction[{i + 1}]" for i in range(n)],
-            states=[f"factor[{i + 1}]" for i in range(n)],
+            states=[f"factor[{i + 1}]" for i in range(len(A))],
             name="adaptation",
         )
         loop = control.interconnect(
@@ -255,7 +258,14 @@ def lift(
 def _adaptation_matrices(
     n: int, latency: int, gains: AdaptationGains
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Adaptation per event: state i is the factor of the cylinder that opens i events ahead."""
+    """Adaptation per event: state i is the factor of the cylinder that opens i events ahead.
+
+    Without imbalance gain the differences between factors are held, outside the loop, and one
+    factor common to all is left.
+    """
+    if gains.imbalance == 0.0:
+        shared = np.full((1, 1), gains.mean / n)
+        return np.eye(1), shared, np.eye(1), shared
     gain = np.full(n, (gains.mean - gains.imbalance) / n)
     gain[-latency % n] += gains.imbalance  # cylinder of the estimate that arrives
     A = np.roll(np.eye(n), 1, axis=1)  # state i becomes state i - 1

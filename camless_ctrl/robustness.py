@@ -50,11 +50,14 @@ class ModeVerdict:
     spectral_radius: float  # per cycle
     margins: StabilityMargins
     small_gain: float  # max |w T|
+    held: bool  # not adapted, so that there is nothing to destabilise
 
     @property
     def name(self) -> str:
         """What the mode is."""
-        return "mean" if self.q == 0 else f"imbalance q={self.q}"
+        if self.q == 0:
+            return "mean"
+        return f"imbalance q={self.q}" + (" (held)" if self.held else "")
 
 
 @dataclass(frozen=True)
@@ -397,7 +400,9 @@ def analyse_point(
 
 def _verdict(mode: ModeLoop, stable: bool, gain_error: float) -> ModeVerdict:
     found = margins_of_response(mode, _THETA, stable)
-    return ModeVerdict(mode.q, mode.spectral_radius, found, gain_error * found.complementary_peak)
+    held = mode.q > 0 and mode.loop.gains.imbalance == 0.0
+    small_gain = gain_error * found.complementary_peak
+    return ModeVerdict(mode.q, mode.spectral_radius, found, small_gain, held)
 
 
 def _delay_limit(result: RobustnessResult) -> tuple[float, int]:

@@ -19,7 +19,7 @@ def report(
         Path, Parameter(name="--out", help="Folder of index.html and report.json; made if need be.")
     ] = Path("report"),
     json: JsonFile = None,
-    seed: Seed = 1,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> int:
     """Write the robustness report: one self-contained page and one JSON file.

@@ -27,7 +27,10 @@ def simulate(
     adapt: Annotated[
         bool, Parameter(negative="--feedforward-alone", help="Adapt a factor per cylinder.")
     ] = True,
-    seed: Seed = 1,
+    seed: Seed = 0,
+    seeds: Annotated[
+        int, Parameter(help="Runs, with this seed and the following; requirements hold the mean.")
+    ] = 8,
     json: JsonFile = None,
     quiet: Quiet = False,
 ) -> int:
@@ -41,7 +44,7 @@ def simulate(
     from plant.mean_value import MeanValuePlant
 
     from ..assessment import AFTER_CYCLES, as_dict, assess_load_step
-    from ..closed_loop import run_load_step
+    from ..closed_loop import averaged, run_load_step
     from ..jsonable import to_json
     from ..output import reserved_file
 
@@ -49,6 +52,7 @@ def simulate(
     for value in demand_mg:
         positive("demand_mg", value, "mg")
     whole("seed", seed, 0, 2**63 - 1)
+    whole("seeds", seeds, 1, 10_000)
     whole(
         "cycles",
         cycles,
@@ -59,15 +63,21 @@ def simulate(
     with reserved_file(json) as file:
         with bar("maps", quiet) as progress:
             maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))
-            result = run_load_step(
-                maps,
-                speed_rpm=speed_rpm,
-                demand_mg=demand_mg,
-                cycles=cycles,
-                seed=seed,
-                adapt=adapt,
-            )
-        found = assess_load_step(result)
+            runs = []
+            for k in range(seeds):
+                progress("closed loop", k, seeds)
+                runs.append(
+                    run_load_step(
+                        maps,
+                        speed_rpm=speed_rpm,
+                        demand_mg=demand_mg,
+                        cycles=cycles,
+                        seed=seed + k,
+                        adapt=adapt,
+                    )
+                )
+        found = assess_load_step(runs)
+        result = runs[0]
         if file is not None:
             signals = {
                 str(name): {"unit": signal.attrs["units"], "values": signal.to_numpy()}
@@ -76,12 +86,13 @@ def simulate(
             content = {
                 "name": result.name,
                 "seed": result.seed,
+                "seeds": seeds,
                 "adapt": adapt,
                 "signals": signals,
                 "requirements": [as_dict(f) for f in found],
             }
             file.write(to_json(content))
     console = out(quiet)
-    console.print(str(result), markup=False)
+    console.print(str(averaged(runs)), markup=False)
     print_requirements(console, found)
     return status(found)

@@ -92,7 +92,7 @@ class Context:
     """
 
     engine: Engine = field(default_factory=Engine.paper)
-    seed: int = 1
+    seed: int = 0
     command: str = ""
     finished: list[FinishedChapter] = field(default_factory=list)
     _shared: dict[str, Any] = field(default_factory=dict, repr=False)

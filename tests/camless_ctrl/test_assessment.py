@@ -1,6 +1,8 @@
+import dataclasses
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from camless_ctrl.assessment import (
@@ -12,7 +14,9 @@ from camless_ctrl.assessment import (
     least,
     sentence,
 )
+from camless_ctrl.closed_loop import ClosedLoopResult
 from camless_ctrl.requirements import REQUIREMENTS, evaluate
+from plant import ParameterError
 
 
 def by_name(found):
@@ -28,6 +32,29 @@ def speed(rpm, radius, worst, gain_margin=3.0, disk=1.0, small_gain=0.5):
         disk_margin=disk,
         small_gain=small_gain,
     )
+
+
+def run_of(error, seed=0):
+    """Twelve cycles of two cylinders, with the given relative errors repeated over the run."""
+    m = 24
+    charge = 1e-4 * (1.0 + np.resize(error, m))
+    flat = np.ones(m)
+    return ClosedLoopResult("run", 2, seed, flat, np.arange(m) % 2 + 1, 1500 * flat, 1e-4 * flat,
+                            charge, charge, 3 * flat, 100 * flat, flat, flat > 2)  # fmt: skip
+
+
+def test_load_step_is_judged_by_the_mean_over_seeds():
+    found = by_name(assess_load_step([run_of([0.008, 0.0]), run_of([0.0, 0.008], seed=1)]))
+    assert found["imbalance"].value == pytest.approx(0.0, abs=1e-9)  # each alone: 0.797 %
+    assert found["cylinder-error"].value == pytest.approx(0.4)
+    assert found["imbalance"].note == "2 seeds; one by one 0.80 % median, 0.80 % worst"
+    assert not by_name(assess_load_step([run_of([0.008, 0.0])]))["imbalance"].met
+
+
+def test_runs_of_different_demands_are_not_averaged():
+    other = dataclasses.replace(run_of([0.0]), demand=np.full(24, 2e-4))
+    with pytest.raises(ParameterError, match="differ in demand"):
+        assess_load_step([run_of([0.0]), other])
 
 
 def test_loop_is_judged_by_its_worst_speed():
@@ -57,7 +84,14 @@ def test_known_exceptions_do_not_count_as_figures_that_can_be_met():
         SimpleNamespace(relative_error=-0.019, known_exception=""),
         SimpleNamespace(relative_error=0.6, known_exception="cannot be met"),
     ]
-    found = by_name(assess_validation(SimpleNamespace(figures=rows, rms=0.008)))
+    claims = [
+        SimpleNamespace(id="held", reproduced=True, known_exception=""),
+        SimpleNamespace(id="excused", reproduced=False, known_exception="as explained"),
+        SimpleNamespace(id="lost", reproduced=False, known_exception=""),
+    ]
+    found = by_name(assess_validation(SimpleNamespace(figures=rows, claims=claims, rms=0.008)))
+    assert found["published-claims"].note == "lost"
+    assert not found["published-claims"].met
     assert found["published-worst"].value == pytest.approx(1.9)
     assert found["published-worst"].met
     assert not found["published-rms"].met
@@ -66,14 +100,12 @@ def test_known_exceptions_do_not_count_as_figures_that_can_be_met():
 def test_every_requirement_is_assessed_by_one_function():
     error = SimpleNamespace(charge_rms=0.0, charge_max=0.0, loss_rms=0.0, loss_max=0.0,
                             worst_charge="here", worst_loss="there")  # fmt: skip
-    lifts = SimpleNamespace(min=lambda: 1.0, max=lambda: 2.0)
-    run = SimpleNamespace(worst_error=lambda n: 0.0, worst_imbalance=lambda n: 0.0, lift_mm=lifts)
     figures = [SimpleNamespace(relative_error=0.0, known_exception="")]
     found = [
-        *assess_validation(SimpleNamespace(figures=figures, rms=0.0)),
+        *assess_validation(SimpleNamespace(figures=figures, claims=[], rms=0.0)),
         *assess_maps(error),
         *assess_robustness([speed(750, 0.5, 0.6)]),
-        *assess_load_step(run),
+        *assess_load_step([run_of([0.0] * 8)]),
     ]
     assert sorted(row.requirement.name for row in found) == sorted(REQUIREMENTS)
 

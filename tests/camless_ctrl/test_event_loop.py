@@ -14,9 +14,10 @@ GAINS = AdaptationGains(0.4, 0.25)
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
 @pytest.mark.parametrize("delay", [0.0, 3e-3])
-def test_lifted_and_event_loops_have_the_same_poles(n, delay):
+@pytest.mark.parametrize("gains", [GAINS, AdaptationGains(0.3, 0.0)], ids=["adapted", "held"])
+def test_lifted_and_event_loops_have_the_same_poles(n, delay, gains):
     loop = EventLoop.at_speed(
-        3000, ChargeEstimator(), GAINS, n_cylinders=n, delay=delay, sensitivity=1.3
+        3000, ChargeEstimator(), gains, n_cylinders=n, delay=delay, sensitivity=1.3
     )
     per_event = loop.poles() ** n
     per_cycle = control.poles(loop.closed_loop())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from camless_ctrl.adaptation import AdaptationGains
 from camless_ctrl.assessment import assess_robustness, least
 from camless_ctrl.confirmation import PlantCheck, check_plants
-from camless_ctrl.robustness import RobustnessResult, analyse
+from camless_ctrl.robustness import RobustnessResult, analyse, analyse_point
 from plant.sensors import MAF_DELAYS, MAF_TIME_CONSTANTS
 
 from ..chapter import Context
@@ -14,6 +15,7 @@ from ..content import Cell, ChapterResult, Column, Figure, Heading, Number, Tabl
 from .maps import mean_value_plant
 
 SAMPLES = 2  # full plants per speed
+TRIAL_GAIN = 0.08  # per cycle, with which a held imbalance is tried
 _STABLE = ("stable", "unstable")
 _WITHSTOOD = ("withstood", "not withstood")
 
@@ -37,6 +39,7 @@ class RobustnessChapter:
             engine=context.engine,
             seed=context.seed,
         )
+        trials = _trials(results)
         broken = [r for r in results if not r.robustly_stable]
         numbers = {
             "least_disk": Number(least(r.disk_margin for r in results)),
@@ -74,8 +77,9 @@ class RobustnessChapter:
                     delay_high=Number(1e3 * MAF_DELAYS[-1], "ms"),
                 ),
                 _verdict(results),
+                *_held(trials),
                 _speeds(results),
-                _figure(context, results),
+                _figure(context, results, trials),
                 _modes(results),
                 Heading("Confirmation on the full plant"),
                 _confirmation_text(checks),
@@ -151,7 +155,7 @@ def _speeds(results: list[RobustnessResult]) -> Table:
 def _modes(results: list[RobustnessResult]) -> Table:
     return Table(
         "modes",
-        Text("The modes of the nominal loop."),
+        Text("The modes of the nominal loop. A held mode is not adapted: it has no pole to move."),
         [
             Column("speed", "rpm", ".0f"),
             Column("mode"),
@@ -167,8 +171,8 @@ def _modes(results: list[RobustnessResult]) -> Table:
             [
                 result.speed_rpm,
                 mode.name,
-                mode.spectral_radius,
-                mode.margins.stable,
+                None if mode.held else mode.spectral_radius,
+                "held" if mode.held else mode.margins.stable,
                 mode.margins.gain_margin,
                 mode.margins.phase_margin_deg,
                 mode.margins.disk_margin,
@@ -181,31 +185,33 @@ def _modes(results: list[RobustnessResult]) -> Table:
     )
 
 
-def _figure(context: Context, results: list[RobustnessResult]) -> Figure:
+def _figure(
+    context: Context, results: list[RobustnessResult], trials: list[RobustnessResult]
+) -> Figure:
     from ..figures import one_legend, side_by_side
 
-    first, last = results[min(1, len(results) - 1)], results[-1]
-    figure, row = side_by_side(2)
-    for ax, result in zip(row, (first, last), strict=True):
+    adapting = [r for r in results if r.gains.imbalance > 0.0] or results
+    shown = [(adapting[-1], f"{adapting[-1].speed_rpm:.0f} rpm")]
+    if trials:
+        shown.append((trials[-1], f"{trials[-1].speed_rpm:.0f} rpm, if imbalance were adapted"))
+    else:
+        shown.insert(0, (adapting[0], f"{adapting[0].speed_rpm:.0f} rpm"))
+    figure, row = side_by_side(len(shown))
+    for ax, (result, title) in zip(row, shown, strict=True):
         result.plot(ax)
-        ax.set_title(f"{result.speed_rpm:.0f} rpm", loc="left")
+        ax.set_title(title, loc="left")
     one_legend(figure, 5)
     return Figure(
         "delay",
         Text(
             "Spectral radius of each mode against the delay of the air-flow sensor, at the "
             "shortest (dotted), the nominal and the longest lag (dashed). With the nominal lag the "
-            "loop breaks at {limit_first} at {first:.0f} and at {limit_last} at {last:.0f}; an "
-            "imbalance mode breaks before the mean does.",
-            first=Number(first.speed_rpm, "rpm"),
-            last=Number(last.speed_rpm, "rpm"),
-            limit_first=_limit(first),
-            limit_last=_limit(last),
-        )
-        if all(r.delay_limit_mode for r in (first, last))
-        else Text(
-            "Spectral radius of each mode against the delay of the air-flow sensor, at the "
-            "shortest (dotted), the nominal and the longest lag (dashed)."
+            "loops break at {breaks}: the alternating mode first, never the mean."
+            if all(r.delay_limit_mode for r, _ in shown)
+            else "Spectral radius of each mode against the delay of the air-flow sensor, at the "
+            "shortest (dotted), the nominal and the longest lag (dashed). With the nominal lag the "
+            "loops break at {breaks}.",
+            breaks=" and ".join(f"{_limit(r)} ({title})" for r, title in shown),
         ),
         "Spectral radius of the mean mode and the imbalance modes against sensor delay at two "
         "speeds, with the stability limit at one and the assumed range of delay shaded.",
@@ -213,10 +219,43 @@ def _figure(context: Context, results: list[RobustnessResult]) -> Figure:
     )
 
 
-def _limit(result: RobustnessResult) -> Number | str:
+def _trials(results: list[RobustnessResult]) -> list[RobustnessResult]:
+    """Analyse the speeds at which imbalance is held as if it were adapted."""
+    return [
+        analyse_point(
+            r.local,
+            r.demand,
+            r.estimator,
+            AdaptationGains(r.gains.mean, TRIAL_GAIN),
+            r.sensitivity_error,
+        )
+        for r in results
+        if r.gains.imbalance == 0.0
+    ]
+
+
+def _held(trials: list[RobustnessResult]) -> list[Text]:
+    return [
+        Text(
+            "At {speed:.0f} the differences between cylinders are held as learnt, not adapted: "
+            "adapted with a gain of {gain:.2f} per cycle they would reach a spectral radius of "
+            "{radius:.3f} at a lag of {lag:.0f} and a delay of {delay:.1f}, because the delay "
+            "turns the sign of the alternating mode and a smaller gain only slows its growth.",
+            speed=Number(r.speed_rpm, "rpm"),
+            gain=Number(TRIAL_GAIN),
+            radius=Number(r.worst[0]),
+            lag=Number(1e3 * r.worst[1], "ms"),
+            delay=Number(1e3 * r.worst[2], "ms"),
+        )
+        for r in trials
+        if not r.withstands_sensor
+    ]
+
+
+def _limit(result: RobustnessResult) -> str:
     if math.isinf(result.delay_limit):
         return "no delay in the range"
-    return Number(round(1e3 * result.delay_limit, 2), "ms")
+    return f"{1e3 * result.delay_limit:.1f} ms"
 
 
 def _confirmation_text(checks: list[PlantCheck]) -> Text:

@@ -83,7 +83,7 @@ class StabilityMargins:
         )
 
 
-def margins(loop: control.StateSpace | control.TransferFunction) -> StabilityMargins:
+def stability_margins(loop: control.StateSpace | control.TransferFunction) -> StabilityMargins:
     """Margins of a single-input single-output loop, continuous or discrete.
 
     Parameters

@@ -1,8 +1,8 @@
 """Crank-angle and mean-value plants of a camless engine's intake, sensors and identification."""
 
+from ._engine_fields import engine_fields, replace_engine_fields
 from .crank_angle import CrankAnglePlant
 from .cycle import CompletedEvent, Cycle, EventResult
-from .engine_fields import engine_fields, replace_engine_fields
 from .errors import ConvergenceError, InfeasibleProfileError, ParameterError, SimulationError
 from .identification import identify
 from .identification_result import FreeParameter, IdentificationResult

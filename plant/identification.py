@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ._checks import in_range, one_of
-from .engine_fields import engine_fields, field_unit, get_field, replace_engine_fields
+from ._engine_fields import engine_fields, field_unit, get_field, replace_engine_fields
 from .errors import ConvergenceError, InfeasibleProfileError, ParameterError, SimulationError
 from .identification_result import FreeParameter, IdentificationResult
 from .kinematics import FloatArray

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .engine_fields import field_unit
+from ._engine_fields import field_unit
 from .errors import ParameterError
 from .kinematics import FloatArray
 from .observations import Observation

@@ -10,7 +10,7 @@ from plant import (
     ParameterError,
     ValveCommand,
 )
-from plant.engine_fields import engine_fields, field_unit, get_field, replace_engine_fields
+from plant._engine_fields import engine_fields, field_unit, get_field, replace_engine_fields
 from plant.identification import FreeParameter, identify
 from plant.observations import (
     ChargeObservation,

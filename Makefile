@@ -40,7 +40,7 @@ lint: $(VENV)/.installed-lint ## check style, format, types and import direction
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: $(VENV)/.installed-bench ## time the plant against general solvers
+bench: $(VENV)/.installed-bench ## time the plant
 	$(BIN)/camless bench
 
 clean: ## remove .venv, the report, caches and build products

@@ -39,6 +39,9 @@ def styled() -> AbstractContextManager[None]:
     import matplotlib.pyplot as plt
     from cycler import cycler
 
+    # Load the backend first: a notebook's switches interactive drawing on when it is loaded,
+    # and inside the context that would be undone.
+    plt.draw_if_interactive()
     style: dict[Any, Any] = {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
     return plt.rc_context(style)
 

@@ -20,7 +20,7 @@ import numpy as np
 from plant import CrankAnglePlant, Engine
 from plant._checks import in_range
 from plant.kinematics import FloatArray
-from plant.sensors import MAF_DELAYS, MAF_TIME_CONSTANTS, MafSensor
+from plant.sensors import MAF_DELAYS, MAF_TIME_CONSTANTS
 
 from .adaptation import AdaptationGains, GainSchedule
 from .estimator import ChargeEstimator
@@ -427,8 +427,3 @@ def _delay_limit(result: RobustnessResult) -> tuple[float, int]:
                 high, mode = middle, at_middle
         return float(high), mode.q
     return math.inf, 0
-
-
-def nominal_maf() -> MafSensor:
-    """Return the sensor that the nominal loop assumes, without errors."""
-    return MafSensor(time_constant=MAF_NOMINAL[0], delay=MAF_NOMINAL[1]).ideal()

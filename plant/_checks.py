@@ -35,7 +35,7 @@ def in_range(
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ParameterError(
-            f"{name} must be a number in {unit}, got {value!r} of type {type(value).__name__}"
+            f"{name} is {value!r}, but must be a number{' in ' + unit if unit != '1' else ''}"
         )
     number = float(value)
     below = number <= low if open_low else number < low
@@ -43,7 +43,7 @@ def in_range(
     if not math.isfinite(number) or below or above:
         bound = _interval(low, high, unit, open_low=open_low, open_high=open_high)
         advice = f": {remedy}" if remedy else ""
-        raise ParameterError(f"{name} is {number:g} {unit}, but must be {bound}{advice}")
+        raise ParameterError(f"{name} is {number:g}{_of(unit)}, but must be {bound}{advice}")
     return number
 
 
@@ -61,6 +61,13 @@ def whole(name: str, value: Any, low: int, high: int, *, remedy: str = "") -> in
         advice = f": {remedy}" if remedy else ""
         raise ParameterError(f"{name} is {number}, but must be from {low} to {high}{advice}")
     return number
+
+
+def truth(name: str, value: Any) -> bool:
+    """Return `value` after checking that it is True or False."""
+    if value is True or value is False or type(value).__name__ == "bool":  # numpy.bool too
+        return bool(value)
+    raise ParameterError(f"{name} is {value!r}, but must be True or False")
 
 
 def one_of(name: str, value: Any, allowed: Iterable[str]) -> str:
@@ -92,8 +99,14 @@ def _suggestion(value: Any, choices: tuple[str, ...]) -> str:
     return f" (did you mean {near[0]!r}?)" if near else ""
 
 
+def _of(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
+
+
 def _interval(low: float, high: float, unit: str, *, open_low: bool, open_high: bool) -> str:
+    if math.isinf(low):
+        return "finite"
     if math.isinf(high):
-        return f"finite and {'above' if open_low else 'at least'} {low:g} {unit}"
+        return f"finite and {'above' if open_low else 'at least'} {low:g}{_of(unit)}"
     left, right = "(" if open_low else "[", ")" if open_high else "]"
-    return f"in {left}{low:g}, {high:g}{right} {unit}"
+    return f"in {left}{low:g}, {high:g}{right}{_of(unit)}"

@@ -2,7 +2,8 @@
 
 Numba keys its cache by the file that holds a function, so a function that calls into another
 file would be served stale after a change there. The cache folder here is named after the
-contents of every file of the kernel instead. Where no folder can be written, the code is
+contents of every file of the kernel instead. It lies in ``NUMBA_CACHE_DIR`` if that is set,
+else beside the package, else in the user's cache; where none can be written, the code is
 compiled anew in each process.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,10 +37,22 @@ _SOURCES = (
 
 
 def _cache_folder() -> str:
+    """Folder for this very kernel, made and writable; empty if there is none."""
     digest = hashlib.sha256()
     for name in _SOURCES:
         digest.update((_FOLDER / name).read_bytes())
-    return str(_FOLDER / "__pycache__" / f"kernel-{digest.hexdigest()[:16]}")
+    name = f"kernel-{digest.hexdigest()[:16]}"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    homes = [Path(chosen)] if chosen else [_FOLDER / "__pycache__", Path(user) / "camless-ctrl"]
+    for home in homes:
+        try:
+            (home / name).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=home / name):
+                return str(home / name)
+        except OSError:
+            continue  # not writable: try the next
+    return ""
 
 
 _CACHE = _cache_folder()
@@ -46,13 +60,12 @@ _CACHE = _cache_folder()
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a function of the kernel on its first call."""
+    if not _CACHE:
+        return numba.njit(error_model="numpy", nogil=True)(function)
     config = vars(numba.config)
     before = config["CACHE_DIR"]
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        config["CACHE_DIR"] = _CACHE  # read when a function is decorated
+    config["CACHE_DIR"] = _CACHE  # read when a function is decorated
     try:
         return numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    except RuntimeError:  # no folder to cache in: neither here nor the user's
-        return numba.njit(error_model="numpy", nogil=True)(function)
     finally:
         config["CACHE_DIR"] = before

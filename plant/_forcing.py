@@ -46,7 +46,8 @@ from ._workspace import (
 # A step may not leap over forcing that its nodes do not see: e-folds of the lift's exponential
 # and radians of its oscillation while they are a share of the lift, radians of the runner.
 LONGEST_FOLD = 1.5
-LONGEST_SWING = 1.0
+LONGEST_SWING = 0.5
+LONGEST_RING = 1.0
 SEEN_SHARE = 1e-3
 
 
@@ -119,11 +120,14 @@ def start_lift(
 
 @compiled
 def lift_at(engine: KernelEngine, work: np.ndarray, j: int, tau: float) -> float:
-    """Lift in mm where the phasors stand, `tau` after the segment's start."""
+    """Lift in mm where the phasors stand, `tau` after the segment's start.
+
+    Below zero where the oscillation of Appendix B would take the valve beyond its seat, on
+    which it then rests.
+    """
     swing = work[j, SWING_RE] if engine.cam else work[j, SWING_IM]
     lift = work[j, CONSTANT] + work[j, SLOPE] * tau + work[j, EXPONENTIAL]
-    # The oscillation of Appendix B does not take the valve below its seat.
-    return max(lift + work[j, SCALE] * swing, 0.0)
+    return lift + work[j, SCALE] * swing
 
 
 @compiled

@@ -27,6 +27,7 @@ from ._layout import (
     MASS,
     MASS_AT_OPENING,
     OK,
+    OPEN_AT_COMPRESSION_TDC,
     PHASE,
     RISE,
     SAME_TIME,
@@ -50,6 +51,8 @@ from ._segment import integrate_segment
 from ._workspace import COS, FREE_IM, FREE_RE, POWER_0, SIN, WORKSPACE_COLUMNS
 
 FIRST_STEP_DEG = 0.5  # step that is tried first when a valve opens
+
+LATEST_CLOSING_DEG = valve.LATEST_CLOSING_DEG
 
 _profile_corners = compiled(valve.profile_corners)
 
@@ -143,6 +146,9 @@ def advance_window(
         kept = 0
         for j in breathing[:n_breathing]:
             row = cylinders[j]
+            # A valve moves in time: a speed that rises carries it past its closing angle.
+            if angles[j] + now * window.degree_rate > LATEST_CLOSING_DEG + 1e-6:
+                return OPEN_AT_COMPRESSION_TDC
             while row[PHASE] != SHUT and _until_cut(window, row, corners[j]) <= SAME_TIME:
                 if row[PHASE] >= SEAT:
                     angle = angles[j] + now * window.degree_rate

@@ -49,6 +49,12 @@ def check_status(status: int, speed_rpm: float) -> None:
             "acceleration term is too strong for this model (check runner_area, m2; the printed "
             "1.43e-4 does this) or switch it off with runner=False"
         )
+    if status == layout.OPEN_AT_COMPRESSION_TDC:
+        raise SimulationError(
+            f"a valve that opened at a lower speed is still open at the compression TDC at "
+            f"{speed_rpm:g} rpm: a camless valve moves in time, so raise the speed in smaller "
+            "steps or shorten duration_deg before it rises"
+        )
     if status == layout.NO_STAGE_SOLUTION:
         raise SimulationError(
             f"the manifold pressure of an implicit step did not settle at {speed_rpm:g} rpm: "

@@ -6,6 +6,7 @@ drawn, so that a computation does not pay for it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,8 @@ def styled() -> AbstractContextManager[None]:
 
     # Load the backend first: a notebook's switches interactive drawing on when it is loaded,
     # and inside the context that would be undone.
-    plt.draw_if_interactive()
+    load: Callable[[], None] = plt.draw_if_interactive  # untyped in the library
+    load()
     style: dict[Any, Any] = {**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}
     return plt.rc_context(style)
 

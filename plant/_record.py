@@ -73,7 +73,9 @@ def record_step(
             )
             trace[r + TRACE_FLOW, first + sample] = _quadratic(u, flow_0, flow_1, flow_2)
             trace[r + TRACE_RUNNER, first + sample] = runner_at(engine, window, here, 0)
-            trace[r + TRACE_LIFT, first + sample] = lift_at(engine, here, 0, begin + u * h)
+            trace[r + TRACE_LIFT, first + sample] = max(
+                lift_at(engine, here, 0, begin + u * h), 0.0
+            )
         old_mass, new_mass = manifold[MANIFOLD_MASS], engine.capacity * pressure
         trace[TRACE_PRESSURE, first + sample] = (
             _cubic(u, h, old_mass, new_mass, net_0, net_2) / engine.capacity

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from ._compile import compiled
-from ._forcing import LONGEST_SWING, forcing_is_seen, start_lift, turn_forcing, turn_over
+from ._forcing import LONGEST_RING, forcing_is_seen, start_lift, turn_forcing, turn_over
 from ._layout import (
     DURATION,
     FLOW,
@@ -47,15 +47,17 @@ from ._workspace import (
     POWER_2,
     POWER_3,
     RATE,
+    RESTED,
     SENSITIVITY,
     STAGE,
     START,
     TURNING,
 )
 
-TOLERANCE = 5e-6  # local error of a mass over that mass, at resolution 1
+TOLERANCE = 4e-6  # local error of a mass over that mass, at resolution 1
 WORK_TOLERANCE = 5e-5  # local error of the work over itself or 0.5 J, at resolution 1
 LEAST_WORK = 0.5  # J
+KINK = 20.0  # weight of an error where the flow turns round or the valve rests: no smooth slope
 GROW_BELOW = 0.1  # local error over the tolerance at which the step may double
 LONGEST_STEP_DEG = 10.0
 LEVELS = 14  # the shortest step is a segment over 2 to this power
@@ -92,7 +94,7 @@ def integrate_segment(
     tighter = window.resolution**3
     longest = LONGEST_STEP_DEG / window.degree_rate / window.resolution
     if engine.runner_gain > 0.0:
-        longest = min(longest, LONGEST_SWING / window.pole_im)
+        longest = min(longest, LONGEST_RING / window.pole_im)
     span = 1 << LEVELS
     stride = span
     h = length
@@ -141,6 +143,7 @@ def integrate_segment(
             for c in range(TURNING):
                 work[j, OLD + c] = work[j, c]
             net_0 -= work[j, FLOW_0]
+            work[j, RESTED] = 0.0
             work[j, BASE] = work[j, START] + step * work[j, FLOW_0]
             turn_forcing(work, j, turn_1, work[j, GROWTH_1])
             area = step * flow_coefficients[j]
@@ -212,6 +215,9 @@ def integrate_segment(
             damped = 1.0 - work[j, SENSITIVITY] * pressure_3 * per_mass
             defect = E_0 * work[j, FLOW_0] + E_1 * work[j, FLOW_1] + E_2 * work[j, FLOW_2]
             defect = abs(defect + E_3 * flow) * h * per_mass
+            turned = work[j, FLOW_0] * flow < 0.0 or work[j, FLOW_0] * work[j, FLOW_2] < 0.0
+            if turned or work[j, RESTED] > 0.0:
+                defect *= KINK
             error = max(error, defect * damped * (1.0 / TOLERANCE))
             work[j, POWER_3] = power_at(engine, window, work, j)
             defect = E_0 * work[j, POWER_0] + E_1 * work[j, POWER_1] + E_2 * work[j, POWER_2]
@@ -219,6 +225,8 @@ def integrate_segment(
             allowed = WORK_TOLERANCE * max(abs(cylinders[j, WORK]), LEAST_WORK)
             error = max(error, defect / allowed)
         defect = abs(E_0 * net_0 + E_1 * net_1 + E_2 * net_2 + E_3 * net_3) * h
+        if inlet_0 * inlet_3 < 0.0 or inlet_0 * inlet_2 < 0.0:
+            defect *= KINK
         allowed = TOLERANCE * engine.capacity * pressure_3
         error = tighter * max(error, defect * damping / allowed)
         if error > 1.0 and stride > 1:

@@ -11,10 +11,21 @@ from ._compile import compiled
 from ._forcing import lift_at, runner_at
 from ._implicit import exact_step, simplified_step
 from ._layout import KernelEngine, Window
-from ._workspace import AREA, BASE, CAPACITY, COS, PRESSURE_PER_MASS, SENSITIVITY, SIN, STAGE
+from ._workspace import (
+    AREA,
+    BASE,
+    CAPACITY,
+    COS,
+    PRESSURE_PER_MASS,
+    RESTED,
+    SENSITIVITY,
+    SIN,
+    STAGE,
+)
 
 SWEEP_TOLERANCE = 1e-4  # change of the manifold pressure, relative, that needs no more sweeps
 MOST_SWEEPS = 60
+RESTING = 1e-6  # mm, below zero: not rounding but the seat
 
 
 @compiled
@@ -22,9 +33,12 @@ def set_stage(
     engine: KernelEngine, window: Window, work: np.ndarray, j: int, tau: float, area_step: float
 ) -> bool:
     """Write area and capacity of a cylinder at a stage; False if the runner has collapsed."""
+    lift = lift_at(engine, work, j, tau)
+    if lift < -RESTING:
+        work[j, RESTED] = 1.0
     runner = runner_at(engine, window, work, j)
     volume = engine.clearance_volume + engine.half_stroke_volume * (1.0 - work[j, COS])
-    work[j, AREA] = area_step * lift_at(engine, work, j, tau)
+    work[j, AREA] = area_step * max(lift, 0.0)
     work[j, CAPACITY] = runner * volume / engine.gas
     work[j, PRESSURE_PER_MASS] = engine.gas / volume
     return runner > 0.0

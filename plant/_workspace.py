@@ -16,4 +16,5 @@ AREA, CAPACITY, SENSITIVITY = 24, 25, 26  # gamma h A_v; K/p_m; dM/dp_m
 PRESSURE_PER_MASS = 27  # R T/V
 FLOW_0, FLOW_1, FLOW_2, FLOW_3 = 28, 29, 30, 31  # port flow at the nodes
 POWER_0, POWER_1, POWER_2, POWER_3 = 32, 33, 34, 35  # (p_exh - p_c) dV/dt at the nodes
-WORKSPACE_COLUMNS = 36
+RESTED = 36  # whether the lift was held at zero during the step
+WORKSPACE_COLUMNS = 37

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import _kernel as kernel
 from . import _layout as layout
-from ._checks import in_range, one_of, positive
+from ._checks import in_range, one_of, positive, truth
 from ._kernel_interface import check_status, kernel_engine
 from .cycle import Cycle
 from .errors import ConvergenceError, ParameterError
@@ -28,7 +28,7 @@ Orifice = Literal["simplified", "exact"]
 HIGHEST_SPEED_RPM = 20000.0
 MOST_CYCLES = 1000
 PATIENCE = 20  # cycles without a smaller change after which an alternation is accepted
-ALTERNATING = 1e-6  # largest change of an alternation, relative
+ALTERNATING = 5e-5  # largest change of an alternation, relative: a quarter of the accuracy
 
 
 class CrankAnglePlant:
@@ -70,8 +70,8 @@ class CrankAnglePlant:
         self.engine = Engine.paper() if engine is None else engine
         if not isinstance(self.engine, Engine):
             raise ParameterError(f"engine is {engine!r}, but must be an Engine")
-        self.runner = bool(runner)
-        self.oscillation = bool(oscillation)
+        self.runner = truth("runner", runner)
+        self.oscillation = truth("oscillation", oscillation)
         self.profile = one_of("profile", profile, ("camless", "conventional"))
         self.orifice = one_of("orifice", orifice, ("simplified", "exact"))
         self.resolution = in_range("resolution", resolution, 0.1, 1000.0, "1")
@@ -105,6 +105,7 @@ class CrankAnglePlant:
         self, command: ValveCommand, speed_rpm: float, on_infeasible: OnInfeasible = "raise"
     ) -> ValveProfile:
         """Return the valve motion that this plant drives for a command at a speed."""
+        one_of("on_infeasible", on_infeasible, ("raise", "limit"))
         if self.profile == "conventional":
             return ValveProfile.conventional(command, speed_rpm)
         return ValveProfile.camless(
@@ -142,7 +143,7 @@ class CrankAnglePlant:
             than this share of a displaced volume of ambient air, nor the manifold mass by
             more than this share of itself. Now and then the choice of steps alternates
             between two neighbours for ever; changes that have stopped shrinking pass below
-            1e-6, and ``residual`` tells it.
+            5e-5, a quarter of the accuracy, and ``residual`` tells it.
 
         Raises
         ------
@@ -201,6 +202,9 @@ class CrankAnglePlant:
         ParameterError
             If the state belongs to another plant.
         """
+        if not isinstance(state, PlantState):
+            raise ParameterError(f"state is {state!r}, but must be a PlantState")
+        one_of("on_infeasible", on_infeasible, ("raise", "limit"))
         if state.plant != self.fingerprint:
             raise ParameterError(
                 f"the state belongs to plant {state.plant}, but this plant is "
@@ -320,6 +324,10 @@ class CrankAnglePlant:
 
     def _commands(self, command: ValveCommand | Sequence[ValveCommand]) -> tuple[ValveCommand, ...]:
         n = self.engine.n_cylinders
+        if not isinstance(command, ValveCommand | Sequence):
+            raise ParameterError(
+                f"command is {command!r}, but must be a ValveCommand, or a sequence of {n}"
+            )
         commands = (command,) * n if isinstance(command, ValveCommand) else tuple(command)
         for c in commands:
             if not isinstance(c, ValveCommand):
@@ -337,9 +345,9 @@ class CrankAnglePlant:
         if not -advance_deg <= command.opening_deg < last:
             raise ParameterError(
                 f"opening_deg is {command.opening_deg:g} deg, but must be in "
-                f"[{-advance_deg:g}, {last:g}) deg, the event window of {self.engine.n_cylinders} "
-                f"cylinders that starts {advance_deg:g} deg before TDC: change opening_deg or "
-                "event_advance_deg"
+                f"[{0.0 - advance_deg:g}, {last:g}) deg, the event window of "
+                f"{self.engine.n_cylinders} cylinders that starts {advance_deg:g} deg before TDC: "
+                "change opening_deg, or give start(...) another event_advance_deg"
             )
         return command.opening_deg + advance_deg
 

@@ -110,6 +110,8 @@ def identify(
     """
     from scipy.optimize import least_squares
 
+    if not isinstance(engine, Engine):
+        raise ParameterError(f"engine is {engine!r}, but must be an Engine")
     free = _free_parameters(engine, parameters)
     problem = _Problem(engine, _checked(engine, observations), free, progress)
     count = problem.measured.size
@@ -273,6 +275,7 @@ def _start_and_bounds(
     rows = []
     for f in free:
         start = float(initial.get(f.name, get_field(engine, f.fields[0])))
+        in_range(f"initial {f.name}", start, -math.inf, math.inf, field_unit(f.fields[0]))
         if f.name in bounds:
             low, high = (float(b) for b in bounds[f.name])
         elif start == 0.0:

@@ -7,6 +7,7 @@ identified ones are marked. Variants come from ``.replace(...)``.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -204,9 +205,10 @@ class Engine(_Replaceable):
     cylinder_flow_factors: tuple[float, ...] = ()  # 1, per cylinder; empty means all 1
 
     def __post_init__(self) -> None:
-        whole("n_cylinders", self.n_cylinders, 1, 24)
+        # Stored as plain numbers, so that NumPy scalars neither print nor hash differently.
+        object.__setattr__(self, "n_cylinders", whole("n_cylinders", self.n_cylinders, 1, 24))
         for name, unit in _POSITIVE_FIELDS.items():
-            positive(name, getattr(self, name), unit)
+            object.__setattr__(self, name, positive(name, getattr(self, name), unit))
         for name, kind in (
             ("valvetrain", Valvetrain),
             ("helmholtz", HelmholtzRunner),
@@ -216,14 +218,20 @@ class Engine(_Replaceable):
                 raise ParameterError(
                     f"{name} is {getattr(self, name)!r}, but must be a {kind.__name__}"
                 )
-        factors = tuple(float(value) for value in self.cylinder_flow_factors)
+        given = self.cylinder_flow_factors
+        if isinstance(given, str) or not isinstance(given, Iterable):
+            raise ParameterError(
+                f"cylinder_flow_factors is {given!r}, but must be a tuple of numbers: one per "
+                "cylinder, or none"
+            )
+        factors = tuple(
+            positive(f"cylinder_flow_factors[{i}]", value, "1") for i, value in enumerate(given)
+        )
         if factors and len(factors) != self.n_cylinders:
             raise ParameterError(
                 f"cylinder_flow_factors has {len(factors)} values, but the engine has "
                 f"{self.n_cylinders} cylinders: give one value per cylinder, or none"
             )
-        for i, value in enumerate(factors):
-            positive(f"cylinder_flow_factors[{i}]", value, "1")
         object.__setattr__(self, "cylinder_flow_factors", factors)
 
     @classmethod

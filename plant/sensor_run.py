@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import lag
-from ._checks import in_range, positive
+from ._checks import in_range, positive, whole
 from .errors import ParameterError
 from .kinematics import FloatArray, degrees_per_second
 from .sampling import SensorSamples
@@ -63,7 +63,7 @@ class SensorRun:
 
     def __init__(self, sensor: AirSensor, seed: Seed) -> None:
         self.sensor = sensor
-        self._random = np.random.default_rng(seed)
+        self._random = _generator(seed)
         empty = np.empty(0)
         self.state = SensorState(empty, empty, empty, 0.0, 0, 0.0, self._random.bit_generator.state)
 
@@ -206,7 +206,7 @@ class DurationRun:
 
     def __init__(self, sensor: DurationSensor, seed: Seed) -> None:
         self.sensor = sensor
-        self._random = np.random.default_rng(seed)
+        self._random = _generator(seed)
 
     @property
     def state(self) -> dict[str, Any]:
@@ -287,3 +287,9 @@ def _frozen(array: FloatArray) -> FloatArray:
     copy = array.copy()
     copy.setflags(write=False)
     return copy
+
+
+def _generator(seed: Seed) -> np.random.Generator:
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = whole("seed", seed, 0, 2**63 - 1)
+    return np.random.default_rng(seed)

@@ -98,6 +98,10 @@ class PlantState:
             )
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ParameterError(f"{path} is not a plant state: {error!r}") from error
+        if not (np.all(np.isfinite(state.cylinders)) and np.all(np.isfinite(state.manifold))):
+            raise ParameterError(
+                f"{path} holds numbers that are not finite: it is damaged, save the state again"
+            )
         if state.cylinders.shape[1:] != (CYLINDER_COLUMNS,) or state.manifold.shape != (
             MANIFOLD_ENTRIES,
         ):

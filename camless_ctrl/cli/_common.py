@@ -25,6 +25,20 @@ Quiet = Annotated[
 Seed = Annotated[int, Parameter(name="--seed", help="Seed of all random work.")]
 
 
+def at_least_one(name: str, values: Sequence[float]) -> None:
+    """Refuse an option that takes a list and was given none.
+
+    Raises
+    ------
+    ParameterError
+        If there are no values.
+    """
+    from plant import ParameterError
+
+    if not values:
+        raise ParameterError(f"{name} has no value, but takes one or more: give them after it")
+
+
 def out(quiet: bool) -> Console:
     """Return the console of results, on standard output."""
     from rich.console import Console

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ._common import JsonFile, Quiet, bar, out, print_requirements, status
+from ._common import JsonFile, Quiet, at_least_one, bar, out, print_requirements, status
 
 Speeds = Annotated[
     tuple[float, ...],
@@ -26,6 +26,8 @@ def analyse(
 
     Example: camless analyse --speed-rpm 1500 6000 --json analysis.json
     """
+    from plant._checks import in_range
+    from plant._map_grid import SPEED_RANGE_RPM
     from plant.mean_value import MeanValuePlant
 
     from ..assessment import as_dict, assess_robustness
@@ -33,6 +35,9 @@ def analyse(
     from ..output import reserved_file
     from ..robustness import analyse as run
 
+    at_least_one("--speed-rpm", speed_rpm)
+    for speed in speed_rpm:
+        in_range("--speed-rpm", speed, *SPEED_RANGE_RPM, "rpm", remedy="the maps end there")
     with reserved_file(json) as file:
         with bar("maps", quiet) as progress:
             maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ._common import MET, JsonFile, Quiet, bar, out, print_table
+from ._common import MET, JsonFile, Quiet, at_least_one, bar, out, print_table
 
 Speeds = Annotated[
     tuple[float, ...],
@@ -44,6 +44,9 @@ def map_(
     from ..jsonable import to_json
     from ..output import reserved_file
 
+    at_least_one("--speed-rpm", speed_rpm)
+    at_least_one("--lift-mm", lift_mm)
+    at_least_one("--duration-deg", duration_deg)
     plant = CrankAnglePlant()
     points = list(product(speed_rpm, lift_mm, duration_deg))
     commands = [(speed, ValveCommand(lift, duration)) for speed, lift, duration in points]

@@ -30,10 +30,13 @@ def report(
     """
     # Figures go to the page; no window is wanted.
     os.environ["MPLBACKEND"] = "agg"
+    from plant._checks import whole
+
     from ..jsonable import to_json
     from ..output import reserved_file
     from ..report import Context, build_report
 
+    whole("--seed", seed, 0, 2**63 - 1)
     command = shlex.join(["camless", *sys.argv[1:]])
     with reserved_file(json) as file, bar("report", quiet) as progress:
         result = build_report(

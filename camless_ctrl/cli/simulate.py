@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ._common import JsonFile, Quiet, Seed, bar, out, print_requirements, status
+from ._common import JsonFile, Quiet, Seed, at_least_one, bar, out, print_requirements, status
 
 Demands = Annotated[
     tuple[float, ...],
@@ -40,7 +40,8 @@ def simulate(
 
     Example: camless simulate --demand-mg 170 400 170 --json run.json
     """
-    from plant._checks import positive, whole
+    from plant._checks import in_range, positive, whole
+    from plant._map_grid import SPEED_RANGE_RPM
     from plant.mean_value import MeanValuePlant
 
     from ..assessment import AFTER_CYCLES, as_dict, assess_load_step
@@ -48,13 +49,14 @@ def simulate(
     from ..jsonable import to_json
     from ..output import reserved_file
 
-    positive("speed_rpm", speed_rpm, "rpm")
+    at_least_one("--demand-mg", demand_mg)
+    in_range("--speed-rpm", speed_rpm, *SPEED_RANGE_RPM, "rpm", remedy="the maps end there")
     for value in demand_mg:
-        positive("demand_mg", value, "mg")
-    whole("seed", seed, 0, 2**63 - 1)
-    whole("seeds", seeds, 1, 10_000)
+        positive("--demand-mg", value, "mg")
+    whole("--seed", seed, 0, 2**63 - 1)
+    whole("--seeds", seeds, 1, 10_000)
     whole(
-        "cycles",
+        "--cycles",
         cycles,
         AFTER_CYCLES + 1,
         100_000,

@@ -181,3 +181,23 @@ def test_validate_writes_what_it_prints(tmp_path, capsys):
     )
     assert {"id", "reproduced", "measured", "why"} <= set(content["claims"][0])
     assert "camless-fig4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["simulate", "--demand-mg"], "--demand-mg"),
+        (["analyse", "--speed-rpm"], "--speed-rpm"),
+        (["map", "--speed-rpm"], "--speed-rpm"),
+        (["map", "--lift-mm"], "--lift-mm"),
+        (["analyse", "--speed-rpm", "9000"], "[750, 6000] rpm"),
+        (["simulate", "--speed-rpm", "9000"], "[750, 6000] rpm"),
+        (["report", "--seed", "-1"], "--seed is -1"),
+        (["simulate", "--seeds", "0"], "--seeds is 0"),
+    ],
+)
+def test_empty_lists_and_values_out_of_range_are_bad_input(arguments, named, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert named in error

@@ -95,7 +95,9 @@ def test_the_fit_is_a_minimum_of_the_relative_error(printed, published_fit):
         total = 0.0
         for profile, speed, command, charge, loss in PRINTED:
             kind = "conventional" if profile == "conventional" else "camless"
-            cycle = CrankAnglePlant(engine, profile=kind).steady_cycle(speed, command)
+            cycle = CrankAnglePlant(engine, profile=kind, resolution=8.0).steady_cycle(
+                speed, command
+            )
             total += (1e6 * cycle.air_charge[0] / charge - 1.0) ** 2
             if loss is not None:
                 total += (cycle.pumping_loss[0] / loss - 1.0) ** 2

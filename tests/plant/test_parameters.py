@@ -3,9 +3,10 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
-from plant import Engine, HelmholtzRunner, ParameterError, Throttle, Valvetrain
+from plant import CrankAnglePlant, Engine, HelmholtzRunner, ParameterError, Throttle, Valvetrain
 from plant.parameters import PRINTED_RUNNER_AREA, PRINTED_TEMPERATURE
 
 SI_FIELDS = [
@@ -78,7 +79,7 @@ def test_engine_refuses_impossible_values(name, unit, value):
 
 @pytest.mark.parametrize("value", ["290", None, True, [290.0], 290j])
 def test_engine_refuses_what_is_no_number(value):
-    with pytest.raises(ParameterError, match="temperature must be a number in K, got"):
+    with pytest.raises(ParameterError, match="but must be a number in K"):
         Engine(temperature=value)
 
 
@@ -136,3 +137,16 @@ def test_parameters_are_refused_with_value_bound_and_unit(build, fragments):
         build()
     for fragment in fragments:
         assert fragment in str(e.value)
+
+
+def test_numpy_scalars_are_stored_as_plain_numbers():
+    engine = Engine(n_cylinders=np.int64(4), temperature=np.float32(290.0))
+    assert type(engine.n_cylinders) is int
+    assert type(engine.temperature) is float
+    assert CrankAnglePlant(engine).fingerprint == CrankAnglePlant(Engine()).fingerprint
+
+
+@pytest.mark.parametrize("factors", [None, 1.0, "1111", ("a", 1, 1, 1), (1, 1, 1, -1)])
+def test_impossible_flow_factors_are_refused(factors):
+    with pytest.raises(ParameterError, match="cylinder_flow_factors"):
+        Engine(cylinder_flow_factors=factors)

@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plant import CrankAnglePlant, Engine, ParameterError, PlantState, ValveCommand
+from plant import (
+    CrankAnglePlant,
+    Engine,
+    ParameterError,
+    PlantState,
+    SimulationError,
+    ValveCommand,
+)
 
 UNEQUAL = (
     ValveCommand(3.0, 189.0),
@@ -164,3 +171,35 @@ def test_a_step_of_the_throttle_fills_or_empties_the_manifold(plant):
     end = plant.start(1500.0, command, 20.0).step_event(command).manifold_pressure
     assert pressures[-1] == pytest.approx(end, rel=1e-4)
     assert target.throttle_mass == pytest.approx(np.sum(target.air_charge), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("n", "command", "speeds"),
+    [
+        (4, ValveCommand(8.0, 300.0), (1500.0, 2500.0)),  # closes past the compression TDC
+        (4, ValveCommand(8.0, 360.0), (750.0, 6000.0)),  # would open again while open
+        (3, ValveCommand(4.0, 350.0), (750.0, 1200.0)),
+    ],
+)
+def test_valve_that_a_rising_speed_carries_past_compression_is_refused(n, command, speeds):
+    plant = CrankAnglePlant(Engine(n_cylinders=n), runner=False)
+    run = plant.start(speeds[0], command)
+    run.step_event(command)
+    start = run.state.event_index
+
+    def rise():
+        for _ in range(n):
+            run.step_event(command, speed_rpm=speeds[1])
+
+    with pytest.raises(SimulationError, match="still open at the compression TDC"):
+        rise()
+    assert start <= run.state.event_index < start + n
+
+
+def test_damaged_state_is_refused(plant, tmp_path):
+    plant.start(1500.0, ValveCommand(3.0, 189.0)).state.save(tmp_path / "state.json")
+    text = (tmp_path / "state.json").read_text()
+    number = text.split('"manifold": [')[1].split(",")[0].strip()
+    (tmp_path / "state.json").write_text(text.replace(number, "NaN"))
+    with pytest.raises(ParameterError, match="not finite"):
+        PlantState.load(tmp_path / "state.json")

@@ -6,7 +6,7 @@ import math
 
 from camless_ctrl.adaptation import AdaptationGains
 from camless_ctrl.assessment import assess_robustness, least
-from camless_ctrl.confirmation import PlantCheck, check_plants
+from camless_ctrl.confirmation import GrowthCheck, PlantCheck, check_growth, check_plants
 from camless_ctrl.robustness import RobustnessResult, analyse, analyse_point
 from plant.sensors import MAF_DELAYS, MAF_TIME_CONSTANTS
 
@@ -15,6 +15,7 @@ from ..content import Cell, ChapterResult, Column, Figure, Heading, Number, Tabl
 from .maps import mean_value_plant
 
 SAMPLES = 2  # full plants per speed
+DELAY_STEP = 0.5e-3  # s, either side of a predicted limit
 TRIAL_GAIN = 0.08  # per cycle, with which a held imbalance is tried
 _STABLE = ("stable", "unstable")
 _WITHSTOOD = ("withstood", "not withstood")
@@ -40,6 +41,8 @@ class RobustnessChapter:
             seed=context.seed,
         )
         trials = _trials(results)
+        held = [r for r in results if r.gains.imbalance == 0.0]
+        beyond = _beyond(context, trials)
         broken = [r for r in results if not r.robustly_stable]
         numbers = {
             "least_disk": Number(least(r.disk_margin for r in results)),
@@ -51,7 +54,13 @@ class RobustnessChapter:
         return ChapterResult(
             finding=Text(
                 "The loop is robustly stable at {robust_speeds:.0f} of {speeds:.0f} speeds"
-                "{exceptions}; the smallest disk margin of the nominal loop is {least_disk:.2f}.",
+                "{exceptions}; the smallest disk margin of the nominal loop is {least_disk:.2f}."
+                "{held}",
+                held=" Cylinders are not balanced at "
+                + " and ".join(f"{r.speed_rpm:.0f} rpm" for r in held)
+                + ": there their differences are held as learnt."
+                if held
+                else "",
                 exceptions="".join(
                     f"{' (not at ' if k == 0 else ', '}{r.speed_rpm:.0f} rpm"
                     for k, r in enumerate(broken)
@@ -84,6 +93,7 @@ class RobustnessChapter:
                 Heading("Confirmation on the full plant"),
                 _confirmation_text(checks),
                 _confirmation(checks),
+                *_growth_text(beyond),
             ],
             numbers=numbers,
             requirements=assess_robustness(results),
@@ -231,6 +241,58 @@ def _trials(results: list[RobustnessResult]) -> list[RobustnessResult]:
         )
         for r in results
         if r.gains.imbalance == 0.0
+    ]
+
+
+def _beyond(context: Context, trials: list[RobustnessResult]) -> list[GrowthCheck]:
+    """Grow the alternating mode on the full plant on both sides of the predicted limit."""
+    return [
+        check_growth(
+            r,
+            mean_value_plant(context),
+            r.delay_limit_mode,
+            delay=r.delay_limit + beyond,
+            engine=context.engine,
+        )
+        for r in trials
+        if math.isfinite(r.delay_limit)
+        for beyond in (-DELAY_STEP, DELAY_STEP)
+    ]
+
+
+def _growth_text(checks: list[GrowthCheck]) -> list[Table]:
+    if not checks:
+        return []
+    return [
+        Table(
+            "growth",
+            Text(
+                "Beyond the verdict: were imbalance adapted at the speeds at which it is held, a "
+                "small disturbance of its mode on both sides of the predicted delay limit, as "
+                "predicted and on the full plant."
+            ),
+            [
+                Column("speed", "rpm", ".0f"),
+                Column("mode"),
+                Column("delay", "ms", ".2f"),
+                Column("predicted factor", "per cycle", ".4f"),
+                Column("simulated factor", "per cycle", ".4f"),
+                Column("outcome", words=("dies out", "diverges")),
+                Column("prediction", words=("agrees", "disagrees")),
+            ],
+            [
+                [
+                    check.speed_rpm,
+                    f"q={check.q}",
+                    1e3 * check.delay,
+                    check.predicted,
+                    check.simulated,
+                    check.simulated < 1.0,
+                    check.agrees,
+                ]
+                for check in checks
+            ],
+        )
     ]
 
 

@@ -23,6 +23,8 @@ from ._layout import (
     MASS,
     NO_STAGE_SOLUTION,
     OK,
+    PHASE,
+    RETREAT,
     RUNNER_COLLAPSED,
     THROTTLE_FLOW,
     WORK,
@@ -58,6 +60,8 @@ TOLERANCE = 4e-6  # local error of a mass over that mass, at resolution 1
 WORK_TOLERANCE = 5e-5  # local error of the work over itself or 0.5 J, at resolution 1
 LEAST_WORK = 0.5  # J
 KINK = 20.0  # weight of an error where the flow turns round or the valve rests: no smooth slope
+REVERSAL = 1e-3  # error of a step over a reversal, of the air that its first flow would move
+NEAR_REVERSAL = 0.25  # share of the flow at the start of a step below which it is about to turn
 GROW_BELOW = 0.1  # local error over the tolerance at which the step may double
 LONGEST_STEP_DEG = 10.0
 LEVELS = 14  # the shortest step is a segment over 2 to this power
@@ -215,7 +219,11 @@ def integrate_segment(
             damped = 1.0 - work[j, SENSITIVITY] * pressure_3 * per_mass
             defect = E_0 * work[j, FLOW_0] + E_1 * work[j, FLOW_1] + E_2 * work[j, FLOW_2]
             defect = abs(defect + E_3 * flow) * h * per_mass
-            turned = work[j, FLOW_0] * flow < 0.0 or work[j, FLOW_0] * work[j, FLOW_2] < 0.0
+            least = NEAR_REVERSAL * abs(work[j, FLOW_0])
+            turned = work[j, FLOW_0] * work[j, FLOW_2] < 0.0 or work[j, FLOW_0] * flow < 0.0
+            turned = turned or abs(flow) < least
+            if turned and cylinders[j, PHASE] <= RETREAT:  # the area does not vanish
+                defect = max(defect, REVERSAL * abs(work[j, FLOW_0]) * h * per_mass)
             if turned or work[j, RESTED] > 0.0:
                 defect *= KINK
             error = max(error, defect * damped * (1.0 / TOLERANCE))

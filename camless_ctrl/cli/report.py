@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -28,8 +27,8 @@ def report(
 
     Example: camless report --out report/
     """
-    # Figures go to the page; no window is wanted.
-    os.environ["MPLBACKEND"] = "agg"
+    import matplotlib as mpl
+
     from plant._checks import whole
 
     from ..jsonable import to_json
@@ -37,6 +36,7 @@ def report(
     from ..report import Context, build_report
 
     whole("--seed", seed, 0, 2**63 - 1)
+    mpl.use("agg")  # figures go to the page; no window is wanted
     command = shlex.join(["camless", *sys.argv[1:]])
     with reserved_file(json) as file, bar("report", quiet) as progress:
         result = build_report(

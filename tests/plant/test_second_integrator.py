@@ -68,6 +68,12 @@ POINTS = {
     "long event, late opening, at 2852 rpm": Point(
         2851.619, ValveCommand(1.46777, 309.199, 37.891), engine=cylinders(1)
     ),
+    "step that ends at a flow reversal, 2084 rpm, no runner": Point(
+        2084.134,
+        ValveCommand(1.99876759747765, 306.39301571014846, 35.104571655561074),
+        engine=cylinders(1),
+        options={"runner": False},
+    ),
     "valve bouncing on its seat at 4605 rpm, no runner": Point(
         4604.7256,
         ValveCommand(3.915502, 80.841931),

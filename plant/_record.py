@@ -22,8 +22,7 @@ from ._layout import (
     KernelEngine,
     Window,
 )
-from ._method import C_2
-from ._workspace import FLOW_0, FLOW_2, FLOW_3, OLD, RATE, STAGE, START, TURNING, WORKSPACE_COLUMNS
+from ._workspace import FLOW_0, FLOW_3, OLD, RATE, STAGE, START, TURNING, WORKSPACE_COLUMNS
 
 
 @compiled
@@ -40,7 +39,7 @@ def record_step(
     swing_rate: float,
     swing_decay: float,
     throttle_0: float,
-    throttle_1: float,
+    throttle_mean: float,
     throttle_2: float,
     pressure: float,
     trace: np.ndarray,
@@ -49,7 +48,7 @@ def record_step(
 ) -> int:
     """Write the trace samples inside one step.
 
-    Masses by the cubic, flows by the quadratic that the step's nodes define; lift and runner
+    Masses by the cubic through the ends of the step, flows by its slope; lift and runner
     by turning the forcing from the start of the step. `manifold` still holds the start
     of the step.
     """
@@ -61,7 +60,8 @@ def record_step(
         net_0, net_2 = throttle_0, throttle_2
         for i in range(n_breathing):
             j = breathing[i]
-            flow_0, flow_1, flow_2 = work[j, FLOW_0], work[j, FLOW_2], work[j, FLOW_3]
+            flow_0, flow_2 = work[j, FLOW_0], work[j, FLOW_3]
+            mean = (work[j, STAGE] - work[j, START]) / h
             net_0, net_2 = net_0 - flow_0, net_2 - flow_2
             here[0] = work[j]
             for c in range(TURNING):
@@ -71,7 +71,7 @@ def record_step(
             trace[r + TRACE_MASS, first + sample] = _cubic(
                 u, h, work[j, START], work[j, STAGE], flow_0, flow_2
             )
-            trace[r + TRACE_FLOW, first + sample] = _quadratic(u, flow_0, flow_1, flow_2)
+            trace[r + TRACE_FLOW, first + sample] = _cubic_slope(u, mean, flow_0, flow_2)
             trace[r + TRACE_RUNNER, first + sample] = runner_at(engine, window, here, 0)
             trace[r + TRACE_LIFT, first + sample] = max(
                 lift_at(engine, here, 0, begin + u * h), 0.0
@@ -80,7 +80,9 @@ def record_step(
         trace[TRACE_PRESSURE, first + sample] = (
             _cubic(u, h, old_mass, new_mass, net_0, net_2) / engine.capacity
         )
-        trace[TRACE_THROTTLE, first + sample] = _quadratic(u, throttle_0, throttle_1, throttle_2)
+        trace[TRACE_THROTTLE, first + sample] = _cubic_slope(
+            u, throttle_mean, throttle_0, throttle_2
+        )
         sample += 1
     manifold[MANIFOLD_MASS] = engine.capacity * pressure
     return sample
@@ -95,13 +97,7 @@ def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: 
 
 
 @compiled
-def _quadratic(u: float, y_0: float, y_1: float, y_2: float) -> float:
-    """Parabola through the nodes 0, C_2 and 1."""
-    slope = (y_1 - y_0) / C_2
-    return y_0 + u * (slope + (u - C_2) * _bend(y_0, y_1, y_2))
-
-
-@compiled
-def _bend(value_0: float, value_1: float, value_2: float) -> float:
-    """Second divided difference over the nodes 0, C_2 and 1."""
-    return (value_2 - value_1) / (1.0 - C_2) - (value_1 - value_0) / C_2
+def _cubic_slope(u: float, mean: float, slope_0: float, slope_2: float) -> float:
+    """Slope of that cubic, whose mean over the step is `mean`: what flows is what is stored."""
+    v = 1.0 - u
+    return 6.0 * u * v * mean + v * (1.0 - 3.0 * u) * slope_0 + u * (3.0 * u - 2.0) * slope_2

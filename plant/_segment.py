@@ -246,10 +246,11 @@ def integrate_segment(
             fresh = True
             continue
 
+        inlet_mean = B_0 * inlet_0 + B_1 * inlet_1 + B_2 * inlet_2 + GAMMA * inlet_3
         if tracing:
             sample = record_step(
                 engine, window, manifold, work, breathing, n_breathing, now, begin, h,
-                swing_rate, swing_decay, inlet_0, inlet_2, inlet_3, pressure_3, trace,
+                swing_rate, swing_decay, inlet_0, inlet_mean, inlet_3, pressure_3, trace,
                 first, sample,
             )  # fmt: skip
         for i in range(n_breathing):
@@ -262,7 +263,7 @@ def integrate_segment(
         pressure_rate = (pressure_3 - pressure_2) / ((1.0 - C_2) * h)
         pressure = pressure_3
         mass = engine.capacity * pressure
-        manifold[INFLOW] += h * (B_0 * inlet_0 + B_1 * inlet_1 + B_2 * inlet_2 + GAMMA * inlet_3)
+        manifold[INFLOW] += h * inlet_mean
         inlet_0 = inlet_3
         position += stride
         doubled = 2 * stride

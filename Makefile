@@ -5,6 +5,7 @@ VENV        := .venv
 BIN         := $(VENV)/bin
 OUT         ?= report
 PYTEST_ARGS ?= -n 2 --dist loadscope
+BENCH_ARGS  ?=
 
 # The first of these that runs (a pyenv shim may exist and yet fail) and is a supported version.
 CANDIDATES := python3.13 python3.12 python3.11 python3 python
@@ -40,8 +41,8 @@ lint: $(VENV)/.installed-lint ## check style, format, types and import direction
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-bench: $(VENV)/.installed-bench ## time the plant
-	$(BIN)/camless bench
+bench: $(VENV)/.installed-bench ## time the plant beside general solvers (BENCH_ARGS="--json FILE")
+	$(ONE_THREAD) $(BIN)/camless bench $(BENCH_ARGS)
 
 clean: ## remove .venv, the report, caches and build products
 	rm -rf $(VENV) report build dist *.egg-info .*_cache .hypothesis .coverage htmlcov

@@ -11,59 +11,33 @@ Run: python benchmarks/accuracy.py --points 5000 --seed 11
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 from cyclopts import App
 from rich.progress import track
 
-from plant import CrankAnglePlant, Engine, ValveCommand
-from plant.valve import shortest_duration
+from camless_ctrl.bench.points import (
+    CHARGE_BAR,
+    LEAST_CHARGE,
+    LEAST_LOSS,
+    LOSS_BAR,
+    BenchPoint,
+    random_points,
+)
 
-CHARGE_BAR, LOSS_BAR = 2e-4, 1e-3
-LEAST_CHARGE, LEAST_LOSS = 50e-6, 0.5  # kg, J
-
-Point = dict[str, Any]
 app = App(help="Survey the kernel's error at random points.")
 
 
-def random_point(random: np.random.Generator) -> Point:
-    """Draw one operating point that the plant covers."""
-    engine = Engine(n_cylinders=int(random.choice([1, 3, 4, 6])))
-    speed = random.uniform(750.0, 6000.0)
-    cam = random.random() < 0.1
-    lift = random.uniform(0.5, 8.0) if random.random() < 0.7 else random.uniform(0.3, 2.5)
-    opening = random.uniform(-30.0, 40.0) if random.random() < 0.25 else 0.0
-    shortest = 6.0 * speed * shortest_duration(lift, engine.valvetrain) * 1.0001
-    longest = 280.0 if random.random() < 0.5 else min(360.0, 360.0 - opening)
-    options = {
-        "profile": "conventional" if cam else "camless",
-        "runner": bool(random.random() < 0.7),
-        "oscillation": bool(random.random() < 0.4) and not cam,
-    }
-    return {
-        "engine": engine,
-        "options": options,
-        "speed_rpm": speed,
-        "command": ValveCommand(lift, random.uniform(min(shortest, longest), longest), opening),
-        "throttle_deg": 90.0 if random.random() < 0.8 else random.uniform(14.0, 60.0),
-    }
-
-
-def solve(point: Point, resolution: float) -> tuple[float, float]:
+def solve(point: BenchPoint, resolution: float) -> tuple[float, float]:
     """Charge in kg and loss in J of the first cylinder."""
-    plant = CrankAnglePlant(point["engine"], resolution=resolution, **point["options"])
-    cycle = plant.steady_cycle(
-        point["speed_rpm"], point["command"], point["throttle_deg"], tolerance=1e-8
-    )
+    cycle = point.cycle(resolution)
     return float(cycle.air_charge[0]), float(cycle.pumping_loss[0])
 
 
 @app.default
 def survey(points: int = 5000, seed: int = 11, finer: float = 8.0, threads: int = 2) -> int:
     """Print the errors over the points; the status is 1 if a bar is missed."""
-    random = np.random.default_rng(seed)
-    drawn = [random_point(random) for _ in range(points)]
+    drawn = random_points(points, seed, cylinders=(1, 3, 4, 6))
     results = []
     with ThreadPoolExecutor(threads) as pool:
         for resolution in (1.0, finer):
@@ -82,12 +56,7 @@ def survey(points: int = 5000, seed: int = 11, finer: float = 8.0, threads: int 
             f"the bar of {bar:g}"
         )
         for k in np.argsort(-error)[:3]:
-            point = drawn[k]
-            print(
-                f"  {error[k]:.2e}: {point['speed_rpm']:.3f} rpm, {point['command']}, throttle "
-                f"{point['throttle_deg']:.1f} deg, n = {point['engine'].n_cylinders}, "
-                f"{point['options']}"
-            )
+            print(f"  {error[k]:.2e}: {drawn[k]}")
     return int(np.any(errors[:, 0] > CHARGE_BAR) or np.any(errors[:, 1] > LOSS_BAR))
 
 

@@ -1,11 +1,10 @@
 """Closed-form implicit steps of ``dM/dt = A d(p_down, p_up)``, compiled.
 
-With ``x = M/K`` (``K`` the mass at which the downstream pressure equals the upstream one),
-one implicit step reads ``x = m + b D(x)``, with ``m`` the known part and ``b >= 0`` the
-effective area times the step, both over ``K``. ``D`` is 1 when choked, positive below
-``x = 1`` and negative above: the left side minus the right one is monotone in ``x``, so the
-root is unique. Each function returns the root and ``dM/dK`` at constant known mass and area,
-which the manifold needs to see how its pressure moves the cylinders.
+One implicit step reads ``M = B + a d(M/K)``: ``B`` the known mass, ``a >= 0`` the effective
+area times the step, ``K`` the mass at which the downstream pressure equals the upstream one.
+``d`` is 1 when choked, positive below ``M = K`` and negative above: the left side minus the
+right one is monotone in ``M``, so the root is unique. Each function returns ``d`` at the root
+and ``dM/dK``, which the manifold needs to see how its pressure moves the cylinders.
 """
 
 from __future__ import annotations
@@ -19,32 +18,58 @@ _GAMMA = 1.4
 _CRITICAL_RATIO = (2.0 / (_GAMMA + 1.0)) ** (_GAMMA / (_GAMMA - 1.0))
 _SONIC = math.sqrt(_GAMMA) * (2.0 / (_GAMMA + 1.0)) ** ((_GAMMA + 1.0) / (2.0 * (_GAMMA - 1.0)))
 _EXACT_SCALE = math.sqrt(2.0 * _GAMMA / (_GAMMA - 1.0)) / _SONIC
+CLOSE = 1e-6
+_NOTHING = 1e-200  # added to a denominator that may be exactly zero
 
 
 @compiled
-def simplified_step(m: float, b: float) -> tuple[float, float]:
-    """Solve ``x = m + b d(x)`` with Eq. 13-14, where ``b`` varies as ``1/K``."""
-    if b == 0.0:
-        return m, 0.0
-    if m <= 1.0:
-        if m + b <= 0.5:
-            return m + b, 0.0
-        # (x - m)^2 = 4 b^2 x (1 - x): the larger root, as x = m + 2 b f with f = D/2 written
-        # so that nothing cancels, however small b or 1 - m
-        root = math.sqrt(b * b + m * (1.0 - m))
-        tilt = b * (2.0 * m - 1.0)
-        f = m * (1.0 - m) / (root + tilt) if tilt > 0.0 else (root - tilt) / (1.0 + 4.0 * b * b)
-        x = m + 2.0 * b * f
-        stiffness = b * (2.0 * x - 1.0)
-        return x, x * stiffness / (stiffness + f)
-    if m - b >= 2.0:
-        return m - b, 0.0
-    # Backward: with u^2 = x - 1, (m - 1 - u^2)(1 + u^2) = 2 b u. Newton from the root of the
-    # quadratic that remains without u^4, kept inside its bracket.
-    c = m - 1.0
-    low, high = 0.0, min(math.sqrt(c), 1.0)
-    u = c / (b + math.sqrt(max(b * b + (1.0 - c) * c, 0.0)))
-    u = min(u, high)
+def simplified_step(base: float, area: float, full: float) -> tuple[float, float]:
+    """Solve ``M = B + a d(M/K)`` with Eq. 13-14; ``dM/dK`` at constant ``B`` and ``a``."""
+    if base > full:
+        return _simplified_backward(base, area, full)
+    if base + area <= 0.5 * full:
+        return 1.0, 0.0
+    # (M - B)^2 K^2 = 4 a^2 M (K - M), of which the larger root. Root and denominator do not
+    # wait for each other, and nothing here waits for a second division but the sensitivity.
+    square_area = area * area
+    square_full = full * full
+    root = math.sqrt(square_area + base * (full - base))
+    per = 1.0 / (square_full + 4.0 * square_area)
+    half = (root * full - area * (2.0 * base - full)) * per
+    mass = base + 2.0 * area * half
+    stiffness = area * (2.0 * mass - full)
+    return 2.0 * half, mass * stiffness / (full * (stiffness + half * square_full) + _NOTHING)
+
+
+@compiled
+def _simplified_backward(base: float, area: float, full: float) -> tuple[float, float]:
+    if base - area >= 2.0 * full:
+        return -1.0, 0.0
+    # With x = M/K and u^2 = x - 1, (c - u^2)(1 + u^2) = 2 b u. Newton from the root of the
+    # quadratic that remains without u^4. Up to c = 1 the difference is concave and falling in u:
+    # after one step the iterates fall towards the root. Beyond, they are kept in their bracket.
+    c = (base - full) / full
+    b = area / full
+    if c <= 1.0:
+        u = c / (b + math.sqrt(b * b + (1.0 - c) * c) + _NOTHING)
+        for _ in range(60):
+            u2 = u * u
+            slope = 2.0 * u * (c - 1.0 - 2.0 * u2) - 2.0 * b
+            change = ((c - u2) * (1.0 + u2) - 2.0 * b * u) / (slope - _NOTHING)
+            u -= change
+            if abs(change) <= CLOSE * u:  # and the next one would be its square
+                break
+    else:
+        u = _bracketed(c, b)
+    x = 1.0 + u * u
+    stiffness = b * (2.0 - x)
+    return -2.0 * u / x, x * stiffness / (stiffness + u * x * x + _NOTHING)
+
+
+@compiled
+def _bracketed(c: float, b: float) -> float:
+    low, high = 0.0, 1.0
+    u = 1.0
     for _ in range(60):
         u2 = u * u
         residual = (c - u2) * (1.0 + u2) - 2.0 * b * u
@@ -58,11 +83,9 @@ def simplified_step(m: float, b: float) -> tuple[float, float]:
             following = 0.5 * (low + high)
         change = following - u
         u = following
-        if abs(change) <= 1e-14:
+        if abs(change) <= 1e-13:
             break
-    x = 1.0 + u * u
-    stiffness = b * (2.0 - x)
-    return x, x * stiffness / (stiffness + u * x * x)
+    return u
 
 
 @compiled
@@ -79,25 +102,22 @@ def _exact_function(y: float) -> tuple[float, float]:
 
 
 @compiled
-def exact_step(m: float, b: float) -> tuple[float, float]:
-    """Solve ``x = m + b D(x)`` with Eq. 10-11, where ``b`` does not vary with ``K``.
+def exact_step(base: float, area: float, full: float) -> tuple[float, float]:
+    """Solve ``M = B + a D(M/K)`` with Eq. 10-11; ``dM/dK`` where ``a`` varies as ``K``.
 
-    ``D = Psi(x)`` forward and ``-x Psi(1/x)`` backward. Newton in ``v``, with
+    ``D = Psi(x)`` forward and ``-x Psi(1/x)`` backward, with ``x = M/K``. Newton in ``v``, with
     ``x = 1 -+ v^2``, which takes the infinite slope at ``x = 1`` away; kept in its bracket.
     """
-    if b == 0.0:
-        return m, 0.0  # dM/dK = x - m dx/dm
+    m, b = base / full, area / full
     forward = m <= 1.0
     sign = 1.0 if forward else -1.0
     low, high = 0.0, math.sqrt(abs(1.0 - m))
-    v = min(abs(1.0 - m) / (2.0 * b), high)
-    slope_d = 0.0
-    x = m
+    v = min(abs(1.0 - m) / (2.0 * b + _NOTHING), high)
+    flow, slope_d = 0.0, 0.0
     for _ in range(80):
-        x = 1.0 - sign * v * v
         if v == 0.0:
             v = 1e-9 * high
-            x = 1.0 - sign * v * v
+        x = 1.0 - sign * v * v
         if forward:
             flow, slope_d = _exact_function(x)
         else:
@@ -117,8 +137,8 @@ def exact_step(m: float, b: float) -> tuple[float, float]:
             break
     x = 1.0 - sign * v * v
     if v == 0.0:
-        return x, x
-    return x, x - m / (1.0 - b * slope_d)
+        return 0.0, x
+    return flow, x - m / (1.0 - b * slope_d)
 
 
 @compiled

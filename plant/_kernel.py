@@ -48,7 +48,17 @@ from ._layout import (
     Window,
 )
 from ._segment import integrate_segment
-from ._workspace import COS, FREE_IM, FREE_RE, POWER_0, SIN, WORKSPACE_COLUMNS
+from ._workspace import (
+    CLOSES_ON_AIR,
+    COEFFICIENT,
+    CORNERS,
+    COS,
+    FREE_IM,
+    FREE_RE,
+    POWER,
+    SENSITIVITY,
+    SIN,
+)
 
 FIRST_STEP_DEG = 0.5  # step that is tried first when a valve opens
 
@@ -103,16 +113,19 @@ def advance_window(
     manifold: np.ndarray,  # (MANIFOLD_ENTRIES,), changed in place
     trace: np.ndarray,  # (rows, samples of one or more windows)
     first: int,  # column of the trace at which this window starts
+    work: np.ndarray,  # (n + 1, SCRATCH_COLUMNS), scratch: nothing is allocated here
+    forcing: np.ndarray,  # (n + 1, FORCING_ROWS, LANES), scratch
+    breathing: np.ndarray,  # (n,) integers, scratch: the open cylinders, a row of `work` each
 ) -> int:
     """Advance the plant by one window, in which one cylinder opens. Returns a status."""
-    n = engine.n_cylinders
-    work = np.empty((n, WORKSPACE_COLUMNS))
-    corners = np.empty((n, SEAT))
-    breathing = np.empty(n, np.int64)
+    work[:] = 0.0
+    forcing[:] = 0.0
     n_breathing = 0
-    for j in range(n):
+    for j in range(engine.n_cylinders):
         if cylinders[j, PHASE] != SHUT:
-            _prepare(engine, window, cylinders[j], corners[j], work[j], angles[j])
+            _prepare(
+                engine, window, flow_coefficients[j], cylinders, j, work, n_breathing, angles[j]
+            )
             breathing[n_breathing] = j
             n_breathing += 1
     opening_time = event.until_opening_deg / window.degree_rate
@@ -124,55 +137,62 @@ def advance_window(
         end = window.length - now
         if not opened:
             end = min(end, opening_time - now)
-        for j in breathing[:n_breathing]:
-            end = min(end, _until_cut(window, cylinders[j], corners[j]))
+        for i in range(n_breathing):
+            end = min(end, _until_cut(window, cylinders, breathing[i], work, i))
         if end > SAME_TIME:
             seen = sample
             if n_breathing == 0 and not engine.exact_orifice:
                 sample = fill_segment(engine, window, manifold, now, end, trace, first, sample)
             else:
                 status, sample, step = integrate_segment(
-                    engine, window, flow_coefficients, cylinders, corners, manifold, work,
-                    breathing, n_breathing, now, end, step, trace, first, sample,
+                    engine, window, cylinders, manifold, work, forcing, breathing, n_breathing,
+                    now, end, step, trace, first, sample,
                 )  # fmt: skip
                 if status != OK:
                     return status
             for k in range(seen, sample):
                 _record_shut(window, cylinders, angles, event.cylinder, opened, trace, first, k)
             now += end
-            for j in breathing[:n_breathing]:
-                cylinders[j, SINCE] += end
-                cylinders[j, TURNED] += end * window.degree_rate
+            for i in range(n_breathing):
+                cylinders[breathing[i], SINCE] += end
+                cylinders[breathing[i], TURNED] += end * window.degree_rate
         kept = 0
-        for j in breathing[:n_breathing]:
-            row = cylinders[j]
+        for i in range(n_breathing):
+            j = breathing[i]
             # A valve moves in time: a speed that rises carries it past its closing angle.
-            if angles[j] + now * window.degree_rate > LATEST_CLOSING_DEG + 1e-6:
+            angle = angles[j] + now * window.degree_rate
+            if angle > LATEST_CLOSING_DEG + 1e-6:
                 return OPEN_AT_COMPRESSION_TDC
-            while row[PHASE] != SHUT and _until_cut(window, row, corners[j]) <= SAME_TIME:
-                if row[PHASE] >= SEAT:
-                    angle = angles[j] + now * window.degree_rate
-                    _finish_event(engine, row, _volume(engine, work[j, COS]), angle >= 180.0)
+            while cylinders[j, PHASE] != SHUT:
+                if _until_cut(window, cylinders, j, work, i) > SAME_TIME:
+                    break
+                if cylinders[j, PHASE] >= SEAT:
+                    _finish_event(engine, cylinders, j, _volume(engine, work[i, COS]), angle >= 180)
                 else:
-                    row[PHASE] += 1.0
-            if row[PHASE] != SHUT:
+                    cylinders[j, PHASE] += 1.0
+            if cylinders[j, PHASE] != SHUT:
                 breathing[kept] = j
+                if kept < i:
+                    for c in range(work.shape[1]):
+                        work[kept, c] = work[i, c]
                 kept += 1
         n_breathing = kept
         if not opened and opening_time - now <= SAME_TIME:
             opened = True
             j = event.cylinder
             angle = angles[j] + event.until_opening_deg
-            _open(engine, window, event, cylinders[j], math.cos(math.radians(angle)))
+            _open(engine, window, event, cylinders, math.cos(math.radians(angle)))
             if cylinders[j, PHASE] != SHUT:
-                _prepare(engine, window, cylinders[j], corners[j], work[j], angle)
+                _prepare(
+                    engine, window, flow_coefficients[j], cylinders, j, work, n_breathing, angle
+                )
                 step = FIRST_STEP_DEG / window.degree_rate
                 breathing[n_breathing] = j
                 n_breathing += 1
         if window.length - now <= SAME_TIME:
             break
-    for j in breathing[:n_breathing]:
-        _keep_runner(window, cylinders[j], work[j])
+    for i in range(n_breathing):
+        _keep_runner(window, cylinders, breathing[i], work, i)
     return OK
 
 
@@ -182,95 +202,113 @@ def _volume(engine: KernelEngine, cosine: float) -> float:
 
 
 @compiled
-def _until_cut(window: Window, row: np.ndarray, corners: np.ndarray) -> float:
+def _until_cut(
+    window: Window, cylinders: np.ndarray, j: int, work: np.ndarray, i: int
+) -> float:
     """Time to the end of the present form of the valve's motion, s."""
-    if row[PHASE] == CAM:
-        return (row[DURATION] - row[TURNED]) / window.degree_rate
-    return corners[int(row[PHASE]) - 1] - row[SINCE]
+    if cylinders[j, PHASE] == CAM:
+        return (cylinders[j, DURATION] - cylinders[j, TURNED]) / window.degree_rate
+    return work[i, CORNERS - 1 + int(cylinders[j, PHASE])] - cylinders[j, SINCE]
 
 
 @compiled
 def _open(
-    engine: KernelEngine, window: Window, event: Event, row: np.ndarray, cosine: float
+    engine: KernelEngine, window: Window, event: Event, cylinders: np.ndarray, cosine: float
 ) -> None:
     """Begin an event at IVO: cylinder at exhaust pressure, runner at rest (Eq. 8)."""
+    j = event.cylinder
     volume = _volume(engine, cosine)
-    row[:FLOW] = 0.0
-    row[MASS] = engine.exhaust_pressure * volume / engine.gas
-    row[MASS_AT_OPENING] = row[MASS]
-    row[FLOW] = 0.0
-    row[LIFT] = event.lift
+    for c in range(FLOW + 1):
+        cylinders[j, c] = 0.0
+    cylinders[j, MASS] = engine.exhaust_pressure * volume / engine.gas
+    cylinders[j, MASS_AT_OPENING] = cylinders[j, MASS]
+    cylinders[j, LIFT] = event.lift
     if event.lift == 0.0:  # a valve that stays shut: its event is over at once
-        _finish_event(engine, row, volume, False)
+        _finish_event(engine, cylinders, j, volume, False)
     elif engine.cam:
-        row[PHASE] = CAM
-        row[DURATION] = event.duration_deg
+        cylinders[j, PHASE] = CAM
+        cylinders[j, DURATION] = event.duration_deg
     else:
-        row[PHASE] = RISE
-        row[DURATION] = event.duration_deg / window.degree_rate
+        cylinders[j, PHASE] = RISE
+        cylinders[j, DURATION] = event.duration_deg / window.degree_rate
 
 
 @compiled
 def _prepare(
     engine: KernelEngine,
     window: Window,
-    row: np.ndarray,
-    corners: np.ndarray,
-    space: np.ndarray,
+    flow_coefficient: float,
+    cylinders: np.ndarray,
+    j: int,
+    work: np.ndarray,
+    i: int,
     angle_deg: float,
 ) -> None:
-    """Set a breathing cylinder's corner times, crank phasor and free runner motion."""
-    if row[PHASE] != CAM:
-        (corners[0], corners[1], corners[2], corners[3], corners[4]) = _profile_corners(
-            row[LIFT],
-            row[DURATION],
+    """Give an open cylinder its row: corners, crank phasor, free runner motion, closing air."""
+    if cylinders[j, PHASE] == CAM:
+        closing_deg = angle_deg - cylinders[j, TURNED] + cylinders[j, DURATION]
+    else:
+        remaining = cylinders[j, DURATION] - cylinders[j, SINCE]
+        closing_deg = angle_deg + remaining * window.degree_rate
+        rise_end, turn, dwell_end, seating_start, closing = _profile_corners(
+            cylinders[j, LIFT],
+            cylinders[j, DURATION],
             engine.opening_slope,
             engine.closing_slope,
             engine.seating_slope,
             engine.seating_duration,
             engine.roundness,
         )
+        work[i, CORNERS], work[i, CORNERS + 1], work[i, CORNERS + 2] = rise_end, turn, dwell_end
+        work[i, CORNERS + 3], work[i, CORNERS + 4] = seating_start, closing
+    work[i, COEFFICIENT] = flow_coefficient
+    swept = engine.half_stroke_volume * (1.0 - math.cos(math.radians(closing_deg)))
+    work[i, CLOSES_ON_AIR] = engine.ambient_pressure * swept / engine.gas
+    work[i, SENSITIVITY] = 0.0
     s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
-    space[SIN], space[COS] = s, c
-    pressure = row[MASS] * engine.gas / _volume(engine, c)
+    work[i, SIN], work[i, COS] = s, c
+    pressure = cylinders[j, MASS] * engine.gas / _volume(engine, c)
     rate = engine.half_stroke_volume * window.omega * s
-    space[POWER_0] = (engine.exhaust_pressure - pressure) * rate
-    velocity = row[VELOCITY] - window.velocity_sin * s - window.velocity_cos * c
-    rate = row[ACCELERATION] - window.acceleration_sin * s - window.acceleration_cos * c
+    work[i, POWER] = (engine.exhaust_pressure - pressure) * rate
+    velocity = cylinders[j, VELOCITY] - window.velocity_sin * s - window.velocity_cos * c
+    rate = cylinders[j, ACCELERATION] - window.acceleration_sin * s - window.acceleration_cos * c
     # Free velocity Re(b exp(pole t)); its rate has the phasor pole b.
     b_im = (window.pole_re * velocity - rate) / window.pole_im
-    space[FREE_RE] = window.pole_re * velocity - window.pole_im * b_im
-    space[FREE_IM] = window.pole_re * b_im + window.pole_im * velocity
+    work[i, FREE_RE] = window.pole_re * velocity - window.pole_im * b_im
+    work[i, FREE_IM] = window.pole_re * b_im + window.pole_im * velocity
 
 
 @compiled
-def _keep_runner(window: Window, row: np.ndarray, space: np.ndarray) -> None:
+def _keep_runner(window: Window, cylinders: np.ndarray, j: int, work: np.ndarray, i: int) -> None:
     """Store the runner's velocity and acceleration, from which another speed goes on."""
-    s, c, re, im = space[SIN], space[COS], space[FREE_RE], space[FREE_IM]
+    s, c, re, im = work[i, SIN], work[i, COS], work[i, FREE_RE], work[i, FREE_IM]
     square = window.pole_re**2 + window.pole_im**2
     free = (re * window.pole_re + im * window.pole_im) / square
-    row[VELOCITY] = window.velocity_sin * s + window.velocity_cos * c + free
-    row[ACCELERATION] = window.acceleration_sin * s + window.acceleration_cos * c + re
+    cylinders[j, VELOCITY] = window.velocity_sin * s + window.velocity_cos * c + free
+    cylinders[j, ACCELERATION] = window.acceleration_sin * s + window.acceleration_cos * c + re
 
 
 @compiled
-def _finish_event(engine: KernelEngine, row: np.ndarray, volume: float, past_bottom: bool) -> None:
+def _finish_event(
+    engine: KernelEngine, cylinders: np.ndarray, j: int, volume: float, past_bottom: bool
+) -> None:
     """Close an event at IVC: charge, and loss up to the instant with ``p_c >= p_exh``.
 
     The shut cylinder keeps its mass, so the rest of the loss integral has a closed form; on
     the way through BDC and back to the same volume it cancels. A mass too small to reach
     exhaust pressure is compressed to TDC.
     """
-    mass = row[MASS]
+    mass = cylinders[j, MASS]
     bottom = 2.0 * engine.half_stroke_volume + engine.clearance_volume
     largest = volume if past_bottom else bottom
     end = max(min(mass * engine.gas / engine.exhaust_pressure, largest), engine.clearance_volume)
     compression = mass * engine.gas * math.log(end / volume)
-    row[LOSS] = row[WORK] + engine.exhaust_pressure * (end - volume) - compression
-    row[CHARGE] = mass - row[MASS_AT_OPENING]
-    row[COMPLETED] += 1.0
-    row[FLOW] = 0.0
-    row[PHASE] = SHUT
+    work = cylinders[j, WORK] + engine.exhaust_pressure * (end - volume) - compression
+    cylinders[j, LOSS] = work
+    cylinders[j, CHARGE] = mass - cylinders[j, MASS_AT_OPENING]
+    cylinders[j, COMPLETED] += 1.0
+    cylinders[j, FLOW] = 0.0
+    cylinders[j, PHASE] = SHUT
 
 
 @compiled
@@ -299,7 +337,7 @@ def _record_shut(
 
 
 @compiled
-def advance_cycle(
+def advance_cycles(
     engine: KernelEngine,
     windows: Window,
     commands: np.ndarray,  # (n, 3): delivered lift, duration, crank angle from the start to IVO
@@ -307,12 +345,17 @@ def advance_cycle(
     advance_deg: float,
     cylinders: np.ndarray,
     manifold: np.ndarray,
-    trace: np.ndarray,  # (rows, samples of the whole cycle)
+    trace: np.ndarray,  # (rows, samples of a whole cycle)
+    cycles: int,  # one, if there are samples
+    work: np.ndarray,  # scratch, see advance_window
+    forcing: np.ndarray,
+    breathing: np.ndarray,
+    angles: np.ndarray,  # (n,), scratch
 ) -> int:
-    """Advance the plant by one cycle of equal windows. Returns a status."""
+    """Advance the plant by cycles of equal windows. Returns a status."""
     n = engine.n_cylinders
-    angles = np.empty(n)
-    for k in range(n):
+    for window in range(cycles * n):
+        k = window % n
         for j in range(n):
             angles[j] = ((k - j) % n) * (720.0 / n) - advance_deg
         event = Event(k, commands[k, 2], commands[k, 0], commands[k, 1])
@@ -326,6 +369,9 @@ def advance_cycle(
             manifold,
             trace,
             k * windows.samples,
+            work,
+            forcing,
+            breathing,
         )
         if status != OK:
             return status

@@ -1,45 +1,9 @@
-"""What the plant hands to the compiled kernel, and what it makes of the kernel's status."""
+"""What the plant makes of the kernel's status."""
 
 from __future__ import annotations
 
-import math
-
 from . import _layout as layout
 from .errors import SimulationError
-from .orifice import REFERENCE_PRESSURE, REFERENCE_TEMPERATURE
-from .parameters import Engine
-from .runner import forcing_amplitude, runner_gain
-
-
-def kernel_engine(
-    engine: Engine, runner: bool, oscillation: bool, profile: str, orifice: str
-) -> layout.KernelEngine:
-    """Gather what the kernel needs of an engine."""
-    gas = engine.gas_constant * engine.temperature
-    v = engine.valvetrain
-    return layout.KernelEngine(
-        n_cylinders=int(engine.n_cylinders),
-        capacity=float(engine.manifold_volume / gas),
-        gas=float(gas),
-        half_stroke_volume=0.5 * engine.displaced_volume,
-        clearance_volume=float(engine.clearance_volume),
-        ambient_pressure=float(engine.ambient_pressure),
-        exhaust_pressure=float(engine.exhaust_pressure),
-        runner_gain=float(runner_gain(engine)) if runner else 0.0,
-        # per crank speed in rad/s: 30/pi rpm
-        runner_forcing=float(forcing_amplitude(engine, 30.0 / math.pi)),
-        opening_slope=float(v.opening_slope_mm_s),
-        closing_slope=float(v.closing_slope_mm_s),
-        seating_slope=float(v.seating_slope_mm_s),
-        seating_duration=float(v.seating_duration),
-        roundness=float(v.roundness),
-        oscillation_amplitude=float(v.oscillation_amplitude) if oscillation else 0.0,
-        oscillation_frequency=2.0 * math.pi / v.oscillation_period,
-        oscillation_decay=float(v.oscillation_decay_rate),
-        cam=profile == "conventional",
-        exact_orifice=orifice == "exact",
-        exact_scale=math.sqrt(REFERENCE_TEMPERATURE / engine.temperature) / REFERENCE_PRESSURE,
-    )
 
 
 def check_status(status: int, speed_rpm: float) -> None:

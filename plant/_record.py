@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ._compile import compiled
-from ._forcing import lift_at, runner_at, turn_forcing, turn_over
+from ._forcing import forcing_at
 from ._layout import (
     MANIFOLD_MASS,
     SAME_TIME,
@@ -22,7 +20,7 @@ from ._layout import (
     KernelEngine,
     Window,
 )
-from ._workspace import FLOW_0, FLOW_3, OLD, RATE, STAGE, START, TURNING, WORKSPACE_COLUMNS
+from ._workspace import FLOW, STAGE, START
 
 
 @compiled
@@ -40,7 +38,7 @@ def record_step(
     swing_decay: float,
     throttle_0: float,
     throttle_mean: float,
-    throttle_2: float,
+    throttle_3: float,
     pressure: float,
     trace: np.ndarray,
     first: int,
@@ -49,39 +47,32 @@ def record_step(
     """Write the trace samples inside one step.
 
     Masses by the cubic through the ends of the step, flows by its slope; lift and runner
-    by turning the forcing from the start of the step. `manifold` still holds the start
-    of the step.
+    from the phasors at the start of the step. `manifold` still holds the start of the step.
     """
     start = now + begin
-    here = np.empty((1, WORKSPACE_COLUMNS))
     while sample < window.samples and sample * window.spacing < start + h - SAME_TIME:
         u = max((sample * window.spacing - start) / h, 0.0)
-        turn = turn_over(window, swing_rate, swing_decay, u * h)
-        net_0, net_2 = throttle_0, throttle_2
+        net_0, net_3 = throttle_0, throttle_3
         for i in range(n_breathing):
-            j = breathing[i]
-            flow_0, flow_2 = work[j, FLOW_0], work[j, FLOW_3]
-            mean = (work[j, STAGE] - work[j, START]) / h
-            net_0, net_2 = net_0 - flow_0, net_2 - flow_2
-            here[0] = work[j]
-            for c in range(TURNING):
-                here[0, c] = work[j, OLD + c]
-            turn_forcing(here, 0, turn, math.exp(work[j, RATE] * u * h))
-            r = TRACE_FIRST + TRACE_STRIDE * j
+            flow_0, flow_3 = work[i, FLOW], work[i, FLOW + 3]
+            mean = (work[i, STAGE] - work[i, START]) / h
+            net_0, net_3 = net_0 - flow_0, net_3 - flow_3
+            lift, runner = forcing_at(
+                engine, window, work, i, swing_rate, swing_decay, begin, u * h
+            )
+            r = TRACE_FIRST + TRACE_STRIDE * breathing[i]
             trace[r + TRACE_MASS, first + sample] = _cubic(
-                u, h, work[j, START], work[j, STAGE], flow_0, flow_2
+                u, h, work[i, START], work[i, STAGE], flow_0, flow_3
             )
-            trace[r + TRACE_FLOW, first + sample] = _cubic_slope(u, mean, flow_0, flow_2)
-            trace[r + TRACE_RUNNER, first + sample] = runner_at(engine, window, here, 0)
-            trace[r + TRACE_LIFT, first + sample] = max(
-                lift_at(engine, here, 0, begin + u * h), 0.0
-            )
+            trace[r + TRACE_FLOW, first + sample] = _cubic_slope(u, mean, flow_0, flow_3)
+            trace[r + TRACE_RUNNER, first + sample] = runner
+            trace[r + TRACE_LIFT, first + sample] = lift
         old_mass, new_mass = manifold[MANIFOLD_MASS], engine.capacity * pressure
         trace[TRACE_PRESSURE, first + sample] = (
-            _cubic(u, h, old_mass, new_mass, net_0, net_2) / engine.capacity
+            _cubic(u, h, old_mass, new_mass, net_0, net_3) / engine.capacity
         )
         trace[TRACE_THROTTLE, first + sample] = _cubic_slope(
-            u, throttle_mean, throttle_0, throttle_2
+            u, throttle_mean, throttle_0, throttle_3
         )
         sample += 1
     manifold[MANIFOLD_MASS] = engine.capacity * pressure

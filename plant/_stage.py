@@ -1,6 +1,7 @@
 """Compiled solution of one implicit stage: every orifice in closed form.
 
-The cylinders are coupled through the manifold pressure by a Newton sweep.
+The cylinders are coupled through the manifold pressure by a Newton sweep. The cylinders' response
+to that pressure is the one of the stage before, so that the manifold need not wait for it.
 """
 
 from __future__ import annotations
@@ -8,99 +9,104 @@ from __future__ import annotations
 import numpy as np
 
 from ._compile import compiled
-from ._forcing import lift_at, runner_at
 from ._implicit import exact_step, simplified_step
-from ._layout import KernelEngine, Window
+from ._layout import NO_STAGE_SOLUTION, OK, RUNNER_COLLAPSED, KernelEngine
 from ._workspace import (
     AREA,
     BASE,
     CAPACITY,
-    COS,
+    FLOW,
+    FRESH_SENSITIVITY,
+    POWER,
     PRESSURE_PER_MASS,
-    RESTED,
     SENSITIVITY,
-    SIN,
     STAGE,
+    VOLUME_RATE,
 )
 
-SWEEP_TOLERANCE = 1e-4  # change of the manifold pressure, relative, that needs no more sweeps
+# The sweep is repeated where the manifold pressure changes by more than this, relative to the
+# ambient one, or a stale response makes it wrong by more than that.
+FARTHEST = 1e-2
+STALE = 2e-6
 MOST_SWEEPS = 60
-RESTING = 1e-6  # mm, below zero: not rounding but the seat
-
-
-@compiled
-def set_stage(
-    engine: KernelEngine, window: Window, work: np.ndarray, j: int, tau: float, area_step: float
-) -> bool:
-    """Write area and capacity of a cylinder at a stage; False if the runner has collapsed."""
-    lift = lift_at(engine, work, j, tau)
-    if lift < -RESTING:
-        work[j, RESTED] = 1.0
-    runner = runner_at(engine, window, work, j)
-    volume = engine.clearance_volume + engine.half_stroke_volume * (1.0 - work[j, COS])
-    work[j, AREA] = area_step * max(lift, 0.0)
-    work[j, CAPACITY] = runner * volume / engine.gas
-    work[j, PRESSURE_PER_MASS] = engine.gas / volume
-    return runner > 0.0
-
-
-@compiled
-def power_at(engine: KernelEngine, window: Window, work: np.ndarray, j: int) -> float:
-    """``(p_exh - p_c) dV/dt`` at the stage, W."""
-    pressure = work[j, STAGE] * work[j, PRESSURE_PER_MASS]
-    rate = engine.half_stroke_volume * window.omega * work[j, SIN]
-    return (engine.exhaust_pressure - pressure) * rate
 
 
 @compiled
 def solve_stage(
     engine: KernelEngine,
     work: np.ndarray,
-    breathing: np.ndarray,
+    forcing: np.ndarray,
+    k: int,  # number of the stage, from 0
     n_breathing: int,
-    throttle_step: float,  # gamma h A_phi, kg
-    manifold_base: float,  # kg
-    guess: float,  # Pa
-) -> tuple[bool, float, float, float]:
-    """Solve the implicit stage.
+    implicit: float,  # gamma h, s
+    throttle_area: float,  # kg/s
+    manifold_base: float,  # known mass of the manifold, kg
+    guess: float,  # of the manifold pressure, Pa
+    coupling: float,  # response of all cylinders to the manifold pressure, kg/Pa
+) -> tuple[int, float, float, float]:
+    """Solve the implicit stage and write its flows.
 
-    Returns (solved, manifold pressure, throttle inflow in kg, damping of the manifold's error).
-    Each sweep solves the cylinders at a guessed manifold pressure, then the manifold with
-    the cylinders' linear response to it and the throttle in full. The last correction is
-    passed on to the cylinders, so that mass is conserved to rounding.
+    Returns status, manifold pressure in Pa, response of the cylinders in kg/Pa and damping of
+    the manifold's error. Each sweep solves the cylinders at a guessed manifold pressure, then
+    the manifold with the cylinders' linear response to it and the throttle in full. The last
+    correction is passed on to the cylinders, so that mass is conserved to rounding.
     """
     p_amb = engine.ambient_pressure
-    for _ in range(MOST_SWEEPS):
-        taken, coupling = 0.0, 0.0
+    exact = engine.exact_orifice
+    throttle_step = implicit * throttle_area
+    if exact:
+        throttle_step *= p_amb * engine.exact_scale
+    sweeps = 0
+    while True:
+        capacity = engine.capacity + coupling
+        full = capacity * p_amb
+        per_capacity = 1.0 / capacity
+        taken, fresh = 0.0, 0.0
         for i in range(n_breathing):
-            j = breathing[i]
-            capacity = work[j, CAPACITY]
-            full = guess * capacity
-            per_full = 1.0 / full
-            base = work[j, BASE]
-            if engine.exact_orifice:
-                b = work[j, AREA] * engine.exact_scale * work[j, PRESSURE_PER_MASS]
-                x, sensitivity = exact_step(base * per_full, b)
+            base, area = work[i, BASE], forcing[i, AREA, k]
+            cylinder_full = guess * forcing[i, CAPACITY, k]
+            if cylinder_full <= 0.0:
+                return RUNNER_COLLAPSED, guess, fresh, 1.0
+            if exact:
+                area *= engine.exact_scale * forcing[i, PRESSURE_PER_MASS, k] * cylinder_full
+                flow, sensitivity = exact_step(base, area, cylinder_full)
             else:
-                x, sensitivity = simplified_step(base * per_full, work[j, AREA] * per_full)
-            work[j, STAGE] = x * full
-            work[j, SENSITIVITY] = sensitivity * capacity
-            taken += x * full - base
-            coupling += sensitivity * capacity
-        full = (engine.capacity + coupling) * p_amb
-        per_full = 1.0 / full
-        m = (manifold_base - taken + coupling * guess) * per_full
-        b = throttle_step * per_full
-        if engine.exact_orifice:
-            x, sensitivity = exact_step(m, b * p_amb * engine.exact_scale)
+                flow, sensitivity = simplified_step(base, area, cylinder_full)
+            flow *= area
+            sensitivity *= forcing[i, CAPACITY, k]
+            work[i, STAGE] = base + flow
+            work[i, FRESH_SENSITIVITY] = sensitivity
+            taken += flow
+            fresh += sensitivity
+        base = manifold_base - taken + coupling * guess
+        if exact:
+            flow, sensitivity = exact_step(base, throttle_step, full)
         else:
-            x, sensitivity = simplified_step(m, b)
-        change = x * p_amb - guess
-        guess = x * p_amb
-        if abs(change) <= SWEEP_TOLERANCE * p_amb:
-            for i in range(n_breathing):
-                j = breathing[i]
-                work[j, STAGE] += work[j, SENSITIVITY] * change
-            inflow = engine.capacity * guess - manifold_base + taken + coupling * change
-            return True, guess, inflow, 1.0 - sensitivity / x
-    return False, guess, 0.0, 1.0
+            flow, sensitivity = simplified_step(base, throttle_step, full)
+        inflow = throttle_step * flow
+        pressure = (base + inflow) * per_capacity
+        change = pressure - guess
+        stale = abs(change * (fresh - coupling))
+        if abs(change) <= FARTHEST * p_amb and stale <= STALE * full:
+            break
+        sweeps += 1
+        if sweeps == MOST_SWEEPS:
+            return NO_STAGE_SOLUTION, pressure, fresh, 1.0
+        guess, coupling = pressure, fresh
+        for i in range(n_breathing):
+            work[i, SENSITIVITY] = work[i, FRESH_SENSITIVITY]
+    manifold = work.shape[0] - 1
+    per_implicit = 1.0 / implicit
+    net = inflow * per_implicit
+    work[manifold, POWER + 1 + k] = net
+    for i in range(n_breathing):
+        mass = work[i, STAGE] + work[i, SENSITIVITY] * change
+        flow = (mass - work[i, BASE]) * per_implicit
+        net -= flow
+        work[i, STAGE] = mass
+        work[i, FLOW + 1 + k] = flow
+        work[i, SENSITIVITY] = work[i, FRESH_SENSITIVITY]
+        excess = engine.exhaust_pressure - mass * forcing[i, PRESSURE_PER_MASS, k]
+        work[i, POWER + 1 + k] = excess * forcing[i, VOLUME_RATE, k]
+    work[manifold, FLOW + 1 + k] = net
+    return OK, pressure, fresh, 1.0 - sensitivity * p_amb / pressure

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from . import _kernel as kernel
+from . import _batch_kernel as batch_kernel
+from . import _entries as kernel
 from . import _layout as layout
 from ._checks import in_range, one_of, positive, truth
-from ._kernel_interface import check_status, kernel_engine
+from ._engine_numbers import Options, engine_row
+from ._kernel_interface import check_status
+from ._periodic import BEFORE, CYLINDER_ROWS, NOT_PERIODIC, TABLES
 from .cycle import Cycle
-from .errors import ConvergenceError, ParameterError
+from .errors import ConvergenceError, ParameterError, SimulationError
 from .kinematics import FloatArray
 from .parameters import Engine
 from .run import PlantRun
@@ -22,13 +25,16 @@ from .trace import Trace
 from .valve import OnInfeasible, ValveCommand
 from .valve_profile import ValveProfile
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import ArrayLike
+
+    from .batch import OnError, Progress
+
 Profile = Literal["camless", "conventional"]
 Orifice = Literal["simplified", "exact"]
 
-HIGHEST_SPEED_RPM = 20000.0
 MOST_CYCLES = 1000
-PATIENCE = 20  # cycles without a smaller change after which an alternation is accepted
-ALTERNATING = 5e-5  # largest change of an alternation, relative: a quarter of the accuracy
 
 
 class CrankAnglePlant:
@@ -72,17 +78,24 @@ class CrankAnglePlant:
             raise ParameterError(f"engine is {engine!r}, but must be an Engine")
         self.runner = truth("runner", runner)
         self.oscillation = truth("oscillation", oscillation)
-        self.profile = one_of("profile", profile, ("camless", "conventional"))
-        self.orifice = one_of("orifice", orifice, ("simplified", "exact"))
+        one_of("profile", profile, get_args(Profile))
+        one_of("orifice", orifice, get_args(Orifice))
+        self.profile, self.orifice = profile, orifice
         self.resolution = in_range("resolution", resolution, 0.1, 1000.0, "1")
         if self.oscillation and self.profile == "conventional":
             raise ParameterError(
                 "oscillation is True, but a conventional cam does not oscillate: use "
                 "profile='camless'"
             )
-        self._kernel_engine = kernel_engine(
-            self.engine, self.runner, self.oscillation, self.profile, self.orifice
+        self._options = Options(
+            self.engine.n_cylinders,
+            self.runner,
+            self.oscillation,
+            self.profile == "conventional",
+            self.orifice == "exact",
+            self.resolution,
         )
+        self._row = engine_row(self.engine)[np.newaxis]
         self._flow_coefficients = np.array(self.engine.flow_coefficients)
         self.fingerprint = fingerprint(
             self.engine,
@@ -139,11 +152,13 @@ class CrankAnglePlant:
             What to do where the duration does not allow the lift; a limited lift is told in
             the result.
         tolerance : float
-            The cycle is periodic when no charge changes from one cycle to the next by more
-            than this share of a displaced volume of ambient air, nor the manifold mass by
-            more than this share of itself. Now and then the choice of steps alternates
-            between two neighbours for ever; changes that have stopped shrinking pass below
-            5e-5, a quarter of the accuracy, and ``residual`` tells it.
+            The cycle is periodic when what it hands on to the next repeats: the manifold mass
+            to this share of itself, the masses of open cylinders to this share of a displaced
+            volume of ambient air, and their work to this share of its volume work. Equal
+            cylinders are compared event by event, others cycle by cycle. Now and then the
+            choice of steps alternates between two neighbours for ever; changes that have
+            stopped shrinking pass below 5e-5, a quarter of the accuracy, and ``residual``
+            tells it.
 
         Raises
         ------
@@ -156,6 +171,87 @@ class CrankAnglePlant:
         """
         return self._periodic(
             speed_rpm, command, throttle_deg, on_infeasible, tolerance, event_advance_deg=None
+        )
+
+    def steady_cycles(
+        self,
+        speed_rpm: ArrayLike | xr.DataArray,
+        lift_mm: ArrayLike | xr.DataArray,
+        duration_deg: ArrayLike | xr.DataArray,
+        opening_deg: ArrayLike | xr.DataArray = 0.0,
+        throttle_deg: ArrayLike | xr.DataArray = 90.0,
+        *,
+        parameters: Mapping[str, ArrayLike | xr.DataArray] | None = None,
+        dims: Sequence[str] | None = None,
+        per_cylinder: bool = True,
+        on_infeasible: OnInfeasible = "raise",
+        on_error: OnError = "raise",
+        tolerance: float = 1e-10,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> xr.Dataset:
+        """Simulate the periodic cycles of many operating points and engines, in parallel.
+
+        Parameters
+        ----------
+        speed_rpm, lift_mm, duration_deg, opening_deg, throttle_deg : array_like or DataArray
+            Operating points. Plain arrays broadcast as in NumPy, DataArrays by the names of
+            their dimensions. Lift, duration and opening may have a dimension ``cylinder``, with
+            a command for each; otherwise one command holds for all.
+        parameters : mapping of str to array_like or DataArray, optional
+            Engine parameters that vary, by their names in `engine_fields`, for example
+            ``{"temperature": [290.0, 316.0], "valvetrain.opening_slope_mm_s": 3000.0}``; they
+            broadcast with the operating points.
+        dims : sequence of str, optional
+            Names of the dimensions of the plain arrays, as many as they have after
+            broadcasting; ``dim_0``, ``dim_1`` and so on by default. A one-dimensional input
+            whose name a dimension bears becomes its index.
+        per_cylinder : bool
+            Whether charge and loss have a dimension ``cylinder``; if not, they are means.
+        on_infeasible : {"raise", "limit"}
+            As for `steady_cycle`.
+        on_error : {"raise", "nan"}
+            What to do where `steady_cycle` would raise: raise that error with the point's
+            place (all points are checked before the first is simulated), or give NaN and tell
+            the reason in a variable ``status``. Engine parameters out of their bounds always
+            raise.
+        tolerance : float
+            As for `steady_cycle`.
+        threads : int, optional
+            Number of threads; as many as this process has cores by default. The results do
+            not depend on it.
+        progress : callable, optional
+            Called in the calling thread with the number of points done and the number in all.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``air_charge`` in kg and ``pumping_loss`` in J per event, ``delivered_lift_mm``,
+            ``residual`` and ``cycles`` as in `Cycle`, with the inputs as coordinates. It takes
+            ``8 (2 n + 3)`` bytes a point, and the computation little more.
+
+        Raises
+        ------
+        ParameterError, InfeasibleProfileError, ConvergenceError, SimulationError
+            As for `steady_cycle`, with the place of the first point that is concerned.
+        """
+        from .batch import steady_cycles  # xarray takes its time to import
+
+        return steady_cycles(
+            self,
+            speed_rpm,
+            lift_mm,
+            duration_deg,
+            opening_deg,
+            throttle_deg,
+            parameters=parameters,
+            dims=dims,
+            per_cylinder=per_cylinder,
+            on_infeasible=on_infeasible,
+            on_error=on_error,
+            tolerance=tolerance,
+            threads=threads,
+            progress=progress,
         )
 
     def start(
@@ -224,8 +320,9 @@ class CrankAnglePlant:
         tolerance: float,
         event_advance_deg: float | None,
     ) -> Cycle:
-        speed, throttle_deg, area = self._operating_point(speed_rpm, throttle_deg)
-        positive("tolerance", tolerance, "1")
+        speed, throttle_deg, _ = self._operating_point(speed_rpm, throttle_deg)
+        one_of("on_infeasible", on_infeasible, ("raise", "limit"))
+        tolerance = positive("tolerance", tolerance, "1")
         commands = self._commands(command)
         least = max(0.0, *(-c.opening_deg for c in commands))
         advance = least
@@ -239,54 +336,83 @@ class CrankAnglePlant:
                 open_high=True,
                 remedy="no valve may open before its window, and a window is one event long",
             )
-        lifts = np.array(
-            [self.valve_profile(c, speed, on_infeasible).delivered_lift_mm for c in commands]
+        one = commands[:1] if isinstance(command, ValveCommand) else commands
+        values, cylinders, manifold = self._solve(
+            self._row,
+            np.array([[speed, throttle_deg, advance]]),
+            np.array([[x for c in one for x in (c.lift_mm, c.duration_deg, c.opening_deg)]]),
+            on_infeasible,
+            tolerance,
         )
-        table = np.array(
-            [
-                (lift, c.duration_deg, self._until_opening(c, advance))
-                for lift, c in zip(lifts, commands, strict=True)
-            ]
-        )
-        window = self._window(speed, area, 0)
-        cylinders, manifold = self._at_rest()
-        no_trace = np.empty((self._trace_rows, 0))
-        scale = (
-            self.engine.ambient_pressure
-            * self.engine.displaced_volume
-            / (self.engine.gas_constant * self.engine.temperature)
-        )
-        residual, cycles = math.inf, 0
-        least_residual, least_at = math.inf, 0
-        while residual > tolerance:
-            if cycles - least_at > PATIENCE and residual <= ALTERNATING:
-                break
-            if cycles == MOST_CYCLES:
-                raise ConvergenceError(
-                    f"no periodic cycle after {MOST_CYCLES} cycles at {speed:g} rpm, throttle "
-                    f"{throttle_deg:g} deg: the last change was {residual:.1e}, but must be at "
-                    f"most {tolerance:.1e}: raise the tolerance"
-                )
-            cycles += 1
-            before = cylinders.copy(), manifold.copy()
-            self._advance_cycle(window, table, advance, cylinders, manifold, no_trace)
-            charge_change = cylinders[:, layout.CHARGE] - before[0][:, layout.CHARGE]
-            mass_ratio = manifold[layout.MANIFOLD_MASS] / before[1][layout.MANIFOLD_MASS]
-            residual = max(float(np.max(np.abs(charge_change))) / scale, abs(mass_ratio - 1.0))
-            if residual < 0.7 * least_residual:
-                least_residual, least_at = residual, cycles
+        status, windows, residual, throttle_mass = values[0, : batch_kernel.DELIVERED].tolist()
+        if status == batch_kernel.REFUSED or status == batch_kernel.INFEASIBLE:
+            for c in one:  # the same checks, which say what they refuse
+                self.valve_profile(c, speed, on_infeasible)
+                self._until_opening(c, advance)
+            raise SimulationError("the kernel refuses an operating point that passes the checks")
+        if status == NOT_PERIODIC:
+            raise ConvergenceError(
+                f"no periodic cycle after {MOST_CYCLES} cycles at {speed:g} rpm, throttle "
+                f"{throttle_deg:g} deg: the last change was {residual:.1e}, but must be at "
+                f"most {tolerance:.1e}: raise the tolerance"
+            )
+        check_status(int(status), speed)
+        lifts, charge, loss = values[0, batch_kernel.DELIVERED :].reshape(3, -1)
         return Cycle(
             plant=self,
             speed_rpm=speed,
             throttle_deg=throttle_deg,
             commands=commands,
             delivered_lift_mm=lifts,
-            air_charge=cylinders[:, layout.CHARGE].copy(),
-            pumping_loss=cylinders[:, layout.LOSS].copy(),
-            throttle_mass=float(manifold[layout.INFLOW] - before[1][layout.INFLOW]),
-            cycles=cycles,
+            air_charge=charge,
+            pumping_loss=loss,
+            throttle_mass=throttle_mass,
+            cycles=windows / self.engine.n_cylinders,
             residual=residual,
-            state=PlantState(0, advance, 0.0, before[0], before[1], self.fingerprint),
+            state=PlantState(0, advance, 0.0, cylinders, manifold, self.fingerprint),
+        )
+
+    def _solve(
+        self,
+        rows: FloatArray,
+        points: FloatArray,
+        commands: FloatArray,
+        on_infeasible: OnInfeasible,
+        tolerance: float,
+        most_cycles: int | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Solve operating points; see `_batch_kernel.solve_points`.
+
+        Returns its results and the state at the start of the last point's cycle.
+        """
+        n = self.engine.n_cylinders
+        values = np.zeros((len(points), batch_kernel.DELIVERED + 3 * n))
+        tables = np.empty((TABLES, n, layout.CYLINDER_COLUMNS))
+        manifolds = np.empty((TABLES, layout.MANIFOLD_ENTRIES))
+        kernel.solve_points(
+            self._options,
+            int(on_infeasible == "limit"),
+            MOST_CYCLES if most_cycles is None else most_cycles,
+            tolerance,
+            rows,
+            points,
+            commands,
+            values,
+            np.empty((CYLINDER_ROWS, n)),
+            tables,
+            manifolds,
+        )
+        return values, tables[BEFORE], manifolds[BEFORE]
+
+    def _with_engine(self, engine: Engine) -> CrankAnglePlant:
+        """Return this plant with another engine."""
+        return CrankAnglePlant(
+            engine,
+            runner=self.runner,
+            oscillation=self.oscillation,
+            profile=self.profile,
+            orifice=self.orifice,
+            resolution=self.resolution,
         )
 
     def _trace_cycle(self, cycle: Cycle, step_deg: float) -> Trace:
@@ -309,7 +435,9 @@ class CrankAnglePlant:
 
     def _operating_point(self, speed_rpm: float, throttle_deg: float) -> tuple[float, float, float]:
         """Check speed and throttle; return them with the throttle's effective area."""
-        speed = in_range("speed_rpm", speed_rpm, 0.0, HIGHEST_SPEED_RPM, "rpm", open_low=True)
+        speed = in_range(
+            "speed_rpm", speed_rpm, 0.0, batch_kernel.HIGHEST_SPEED_RPM, "rpm", open_low=True
+        )
         throttle = self.engine.throttle
         angle = in_range(
             "throttle_deg",
@@ -364,12 +492,9 @@ class CrankAnglePlant:
             samples,
         )
 
-    def _at_rest(self) -> tuple[FloatArray, FloatArray]:
-        """State tables with all valves shut and the manifold at ambient pressure."""
-        cylinders = np.zeros((self.engine.n_cylinders, layout.CYLINDER_COLUMNS))
-        manifold = np.zeros(layout.MANIFOLD_ENTRIES)
-        manifold[layout.MANIFOLD_MASS] = self._kernel_engine.capacity * self.engine.ambient_pressure
-        return cylinders, manifold
+    @cached_property
+    def _kernel_engine(self) -> layout.KernelEngine:
+        return kernel.kernel_engine_of(self._row[0], self._options)
 
     @property
     def _trace_rows(self) -> int:
@@ -389,7 +514,7 @@ class CrankAnglePlant:
         manifold: FloatArray,
         trace: FloatArray,
     ) -> None:
-        status = kernel.advance_cycle(
+        status = kernel.advance_cycles(
             self._kernel_engine,
             window,
             table,

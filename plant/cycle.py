@@ -39,11 +39,12 @@ class Cycle:
         Work of the loop below exhaust pressure per event, J (section 3.2).
     throttle_mass : float
         Air through the throttle per cycle, kg.
-    cycles : int
-        Cycles simulated until the solution was periodic.
+    cycles : float
+        Cycles simulated until the solution was periodic; equal cylinders repeat one event
+        apart, and need parts of a cycle.
     residual : float
-        Largest change over the last cycle of the manifold mass, relative, and of the charges,
-        relative to a displaced volume of ambient air.
+        Largest change of what the last event of equal cylinders, or the last cycle of others,
+        hands on; see the tolerance of `CrankAnglePlant.steady_cycle`.
     state : PlantState
         State at the start of the cycle.
     """
@@ -56,7 +57,7 @@ class Cycle:
     air_charge: FloatArray
     pumping_loss: FloatArray
     throttle_mass: float
-    cycles: int
+    cycles: float
     residual: float
     state: PlantState = field(repr=False)
 
@@ -107,7 +108,8 @@ class Cycle:
         """Return a table of charge and loss, one line a cylinder."""
         lines = [
             f"{self.plant.profile} cycle at {self.speed_rpm:g} rpm, throttle "
-            f"{self.throttle_deg:g} deg (periodic to {self.residual:.0e} in {self.cycles} cycles)"
+            f"{self.throttle_deg:g} deg (periodic to {self.residual:.0e} in {self.cycles:.3g} "
+            "cycles)"
         ]
         for j, command in enumerate(self.commands):
             lift = f"lift {self.delivered_lift_mm[j]:.2f} mm"

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import _entries as entries
 from ._checks import in_range
-from ._compile import compiled
 from .errors import ParameterError
 from .kinematics import FloatArray
 
@@ -44,13 +44,20 @@ def first_order_lag(
     return at_knots(t, u, float(u[0]) if initial is None else float(initial), tau)
 
 
-@compiled
 def at_knots(
     time: FloatArray, signal: FloatArray, first_response: float, time_constant: float
 ) -> FloatArray:
     """Response at each point of the signal, from that at the first one."""
     response = np.empty(time.size)
     response[0] = first_response
+    entries.fill_response(time, signal, float(time_constant), response)
+    return response
+
+
+def fill_response(
+    time: FloatArray, signal: FloatArray, time_constant: float, response: FloatArray
+) -> None:
+    """Write the response at each point but the first one; compiled on its first use."""
     for i in range(time.size - 1):
         span = time[i + 1] - time[i]
         rise = signal[i + 1] - signal[i]
@@ -64,7 +71,6 @@ def at_knots(
             response[i + 1] = (
                 response[i] + (signal[i] - response[i]) * settled + rise * (1.0 - settled / ratio)
             )
-    return response
 
 
 def between_knots(

@@ -124,17 +124,35 @@ class HelmholtzRunner(_Replaceable):
 
     def natural_frequency(self, speed_rpm: float) -> float:
         """Natural frequency ``w_h`` in rad/s at a speed in rpm."""
-        low, high = self.low_speed_frequency_hz, self.high_speed_frequency_hz
-        return 2.0 * math.pi * (low + (high - low) * self._share(speed_rpm))
+        return (
+            2.0
+            * math.pi
+            * between_speeds(
+                self.low_speed_frequency_hz,
+                self.high_speed_frequency_hz,
+                self.low_speed_rpm,
+                self.high_speed_rpm,
+                speed_rpm,
+            )
+        )
 
     def damping_ratio(self, speed_rpm: float) -> float:
         """Damping ratio ``xi_h`` at a speed in rpm."""
-        low, high = self.low_speed_damping, self.high_speed_damping
-        return low + (high - low) * self._share(speed_rpm)
+        return between_speeds(
+            self.low_speed_damping,
+            self.high_speed_damping,
+            self.low_speed_rpm,
+            self.high_speed_rpm,
+            speed_rpm,
+        )
 
-    def _share(self, speed_rpm: float) -> float:
-        span = self.high_speed_rpm - self.low_speed_rpm
-        return min(max((speed_rpm - self.low_speed_rpm) / span, 0.0), 1.0)
+
+def between_speeds(
+    low: float, high: float, low_speed_rpm: float, high_speed_rpm: float, speed_rpm: float
+) -> float:
+    """Value that is held outside two speeds and linear in speed between them (section 4)."""
+    share = (speed_rpm - low_speed_rpm) / (high_speed_rpm - low_speed_rpm)
+    return low + (high - low) * min(max(share, 0.0), 1.0)
 
 
 @dataclass(frozen=True, slots=True)

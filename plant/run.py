@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from . import _kernel as kernel
+from . import _entries as kernel
 from . import _layout as layout
 from ._kernel_interface import check_status
 from .cycle import CompletedEvent, EventResult

@@ -24,8 +24,12 @@ def runner_gain(engine: Engine) -> float:
 
 def forcing_amplitude(engine: Engine, speed_rpm: float) -> float:
     """Amplitude of the quasi-static port velocity in m/s (right side of Eq. 7 over ``A_r``)."""
-    piston = 0.5 * float(radians_per_second(speed_rpm)) * engine.stroke
-    return 0.25 * np.pi * engine.bore**2 / engine.runner_area * piston
+    return float(radians_per_second(speed_rpm)) * forcing_length(engine)
+
+
+def forcing_length(engine: Engine) -> float:
+    """Amplitude of that velocity over crank speed in rad/s, m."""
+    return 0.25 * np.pi * engine.bore**2 / engine.runner_area * (0.5 * engine.stroke)
 
 
 def runner_velocity(

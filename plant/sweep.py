@@ -1,23 +1,17 @@
-"""Steady cycles at many operating points, on several threads."""
+"""Means over the cylinders of steady cycles, as plain arrays: what the maps are made of."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import whole
+from .batch import Progress
 from .crank_angle import CrankAnglePlant
-from .errors import ParameterError
 from .kinematics import FloatArray
-from .valve import ValveCommand
 
-Progress = Callable[[int, int], None]  # called with the points done and the points in all
-
-_CHUNK = 64  # points a task: long enough to hide its cost, short enough to share the work
+__all__ = ["Progress", "SweepResult", "sweep"]
 
 
 @dataclass(frozen=True)
@@ -71,37 +65,15 @@ def sweep(
     ParameterError, InfeasibleProfileError, ConvergenceError, SimulationError
         As for `CrankAnglePlant.steady_cycle`; the sweep then stops.
     """
-    whole("threads", threads, 1, 256)
-    speed, lift, duration = np.broadcast_arrays(
-        np.asarray(speed_rpm, dtype=float),
-        np.asarray(lift_mm, dtype=float),
-        np.asarray(duration_deg, dtype=float),
+    shape = np.broadcast_shapes(*(np.shape(x) for x in (speed_rpm, lift_mm, duration_deg)))
+    dataset = plant.steady_cycles(
+        speed_rpm,
+        lift_mm,
+        duration_deg,
+        per_cylinder=False,
+        threads=threads,
+        progress=progress,
     )
-    points = np.column_stack([speed.ravel(), lift.ravel(), duration.ravel()])
-    if not len(points):
-        raise ParameterError("the sweep has no operating point: give at least one")
-    values = np.empty((len(points), 2))
-    done = 0
-    executor = ThreadPoolExecutor(threads)
-    try:
-        tasks = {
-            executor.submit(_simulate, plant, points[first : first + _CHUNK]): first
-            for first in range(0, len(points), _CHUNK)
-        }
-        for task in as_completed(tasks):
-            chunk = task.result()
-            values[tasks[task] : tasks[task] + len(chunk)] = chunk
-            done += len(chunk)
-            if progress is not None:
-                progress(done, len(points))
-    finally:
-        executor.shutdown(cancel_futures=True)
-    return SweepResult(values[:, 0].reshape(speed.shape), values[:, 1].reshape(speed.shape))
-
-
-def _simulate(plant: CrankAnglePlant, points: FloatArray) -> FloatArray:
-    values = np.empty((len(points), 2))
-    for k, (speed, lift, duration) in enumerate(points):
-        cycle = plant.steady_cycle(speed, ValveCommand(lift_mm=lift, duration_deg=duration))
-        values[k] = cycle.air_charge.mean(), cycle.pumping_loss.mean()
-    return values
+    return SweepResult(
+        dataset["air_charge"].values.reshape(shape), dataset["pumping_loss"].values.reshape(shape)
+    )

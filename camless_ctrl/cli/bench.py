@@ -1,4 +1,4 @@
-"""`camless bench`: time the full plant."""
+"""`camless bench`: time the full plant beside general solvers."""
 
 from __future__ import annotations
 
@@ -6,73 +6,57 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from ._common import MET, JsonFile, Quiet, bar, out, print_table
+from ._common import MET, JsonFile, Quiet, Seed, bar, out, print_requirements, print_table
 
-# Speed in rpm, lift in mm, duration in deg: idle, cruise, full load, high speed.
-POINTS = ((750.0, 2.0, 60.0), (1500.0, 3.0, 189.0), (3000.0, 6.0, 200.0), (6000.0, 7.0, 220.0))
+WIDTH = 140  # of the tables, which say too little when their words are broken
 
 
 def bench(
     *,
-    repeats: Annotated[int, Parameter(help="Periodic solutions timed at each point.")] = 30,
+    points: Annotated[
+        int | None,
+        Parameter(help="Points of the largest map; as many as half a minute allows by default."),
+    ] = None,
+    map_points: Annotated[
+        int, Parameter(help="Points of the map at which the kernel's error is measured.")
+    ] = 240,
+    repeats: Annotated[int, Parameter(help="Timings of each kind; the least counts.")] = 20,
+    quick: Annotated[
+        bool, Parameter(negative="", help="A few points and repeats, to see that all works.")
+    ] = False,
     json: JsonFile = None,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> int:
-    """Time the full plant at a few points: microseconds per simulated engine cycle.
+    """Measure the kernel's time and error beside general solvers on the same right-hand side.
 
-    A solution is timed as a user calls it, without traces: from rest to periodic, checks
-    included; its time is divided by the cycles that it took. Compilation is left out. Run it
-    on an idle machine.
+    It measures and does not judge: a missed goal is shown as missed, and the exit status is 0.
+    Run it on an idle machine.
 
-    Example: camless bench --repeats 100
+    Example: camless bench --json bench.json
     """
-    import statistics
-    import time
-
-    from plant import CrankAnglePlant, ValveCommand
-    from plant._checks import whole
-
+    from ..bench import BenchOptions, run_bench
     from ..jsonable import to_json
     from ..output import reserved_file
 
-    whole("repeats", repeats, 1, 100_000)
-    plant = CrankAnglePlant()
-    rows = []
+    options = BenchOptions(
+        repeats=min(repeats, 3) if quick else repeats,
+        map_points=min(map_points, 6) if quick else map_points,
+        matching_points=min(map_points, 2 if quick else 40),
+        batch_points=100 if quick and points is None else points,
+        processes=1 if quick else 5,
+        seed=seed,
+    )
     with reserved_file(json) as file:
         with bar("bench", quiet) as progress:
-            for k, (speed, lift, duration) in enumerate(POINTS):
-                progress(f"{speed:g} rpm", k, len(POINTS))
-                command = ValveCommand(lift, duration)
-                plant.steady_cycle(speed, command)  # compiles
-                each = []
-                for _ in range(repeats):
-                    started = time.perf_counter()
-                    cycle = plant.steady_cycle(speed, command)
-                    each.append(1e6 * (time.perf_counter() - started) / cycle.cycles)
-                rows.append(
-                    {
-                        "speed_rpm": speed,
-                        "lift_mm": lift,
-                        "duration_deg": duration,
-                        "cycles": cycle.cycles,
-                        "min_us_per_cycle": min(each),
-                        "median_us_per_cycle": statistics.median(each),
-                    }
-                )
+            result = run_bench(options, progress=progress)
         if file is not None:
-            content = {"n_cylinders": plant.engine.n_cylinders, "repeats": repeats, "points": rows}
-            file.write(to_json(content))
-    print_table(
-        out(quiet),
-        f"Time per simulated cycle of {plant.engine.n_cylinders} cylinders, {repeats} repeats",
-        ["speed rpm", "lift mm", "duration deg", "cycles", "min us", "median us"],
-        [
-            [
-                *(f"{row[name]:g}" for name in ("speed_rpm", "lift_mm", "duration_deg", "cycles")),
-                f"{row['min_us_per_cycle']:.1f}",
-                f"{row['median_us_per_cycle']:.1f}",
-            ]
-            for row in rows
-        ],
-    )
+            file.write(to_json(result.as_dict()))
+    console = out(quiet)
+    console.width = max(console.width, WIDTH)
+    for table in result.tables():
+        print_table(console, table.title, table.columns, table.rows)
+    print_requirements(console, result.goals)
+    for note in result.notes:
+        console.print(note, markup=False)
     return MET

@@ -8,11 +8,11 @@ from ._engine_numbers import Options
 from ._layout import Event, KernelEngine, Window
 from ._native import Library
 from ._native_call import INDICES, MATRIX, VECTOR, Array
-from ._workspace import FORCING_ROWS, LANES, SCRATCH_COLUMNS
+from ._workspace import FORCED, LANES, SCRATCH_COLUMNS
 from .kinematics import FloatArray
 
 _KERNEL, _LAG = Library("kernel"), Library("lag")
-_SCRATCH = (MATRIX, Array(3), INDICES)
+_SCRATCH = (MATRIX, MATRIX, INDICES)
 
 make_window = _KERNEL.entry(
     "_kernel",
@@ -103,7 +103,7 @@ def advance_cycles(
 
 def _scratch(n: int) -> tuple[FloatArray, FloatArray, np.ndarray]:
     """Space for the kernel to work in, which allocates nothing itself."""
-    work, forcing = np.empty((n + 1, SCRATCH_COLUMNS)), np.empty((n + 1, FORCING_ROWS, LANES))
+    work, forcing = np.empty((n + 1, SCRATCH_COLUMNS)), np.empty((n + 1, FORCED * LANES))
     return work, forcing, np.empty(n, np.int64)
 
 

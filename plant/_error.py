@@ -7,9 +7,9 @@ import numpy as np
 from ._compile import compiled
 from ._layout import WORK, KernelEngine
 from ._method import E_0, E_1, E_2, E_3
-from ._workspace import CLOSES_ON_AIR, FLOW, LIFT, OPEN, POWER, SENSITIVITY, STAGE
+from ._workspace import AIR, FLOW, LANES, LIFT, OPEN, POWER, SENSITIVITY, STAGE
 
-TOLERANCE = 1e-5  # local error of a mass over the air that it comes to, at resolution 1
+TOLERANCE = 1e-5  # local error of a mass over the air that a cylinder can take in, at resolution 1
 LEAST_AIR = 0.1  # displaced volumes of ambient air, to which a small mass is compared
 WORK_TOLERANCE = 2.5e-4  # local error of the work over itself or its least, at resolution 1
 LEAST_WORK = 0.5  # J
@@ -33,7 +33,7 @@ def local_error(
 ) -> tuple[float, bool]:
     """Local error over the tolerance, and whether it is that of a flow that turns round.
 
-    Of the masses, relative to the air that a cylinder takes in up to its closing angle, and
+    Of the masses, relative to the air that a cylinder can take in up to its closing angle, and
     of the work. The share of a stiff component is damped as the implicit step damps it.
     """
     displaced = 2.0 * engine.half_stroke_volume * engine.ambient_pressure / engine.gas
@@ -41,7 +41,7 @@ def local_error(
     for i in range(n_breathing):
         flow_0, flow_2, flow = work[i, FLOW], work[i, FLOW + 2], work[i, FLOW + 3]
         damped = 1.0 - work[i, SENSITIVITY] * pressure / work[i, STAGE]
-        air = max(work[i, CLOSES_ON_AIR], LEAST_AIR * displaced)
+        air = max(work[i, AIR], LEAST_AIR * displaced)
         scale = h * damped / (TOLERANCE * air)
         defect = abs(E_0 * flow_0 + E_1 * work[i, FLOW + 1] + E_2 * flow_2 + E_3 * flow)
         turns = flow_0 * flow_2 < 0.0 or flow_0 * flow < 0.0
@@ -50,7 +50,14 @@ def local_error(
             reverses = reverses or defect * scale > 1.0
         elif turns:
             defect *= KINK
-        if min(forcing[i, LIFT, 0], forcing[i, LIFT, 1], forcing[i, LIFT, 2]) < -RESTING:
+        if (
+            min(
+                forcing[i, LANES * LIFT + 0],
+                forcing[i, LANES * LIFT + 1],
+                forcing[i, LANES * LIFT + 2],
+            )
+            < -RESTING
+        ):
             defect *= KINK
         error = max(error, defect * scale)
         defect = E_0 * work[i, POWER] + E_1 * work[i, POWER + 1] + E_2 * work[i, POWER + 2]

@@ -35,10 +35,13 @@ from ._workspace import (
     CORNERS,
     COS,
     EXPONENTIAL,
+    FOLD_STEP,
     FOLDS_FROM,
     FOLDS_UNTIL,
+    FORCED,
     FREE_IM,
     FREE_RE,
+    LANES,
     LIFT,
     OPEN,
     PRESSURE_PER_MASS,
@@ -62,7 +65,7 @@ from ._workspace import (
 # and radians of its oscillation while they are a share of the lift, radians of the runner.
 LONGEST_FOLD = 1.5
 LONGEST_SWING = 0.5
-LONGEST_RING = 2.0
+LONGEST_RING = 1.0
 FOLD_SHARE = 1e-3
 SWING_SHARE = 1e-2
 MANY_FOLDS = -math.log(FOLD_SHARE)
@@ -157,20 +160,21 @@ def start_lift(
     work[i, RATE] = rate
     work[i, SWING_RE], work[i, SWING_IM], work[i, SCALE] = swing_re, swing_im, scale
     work[i, FOLDS_FROM], work[i, FOLDS_UNTIL] = folds_from, folds_until
+    work[i, FOLD_STEP] = LONGEST_FOLD / abs(rate) if rate != 0.0 else math.inf
     work[i, SWINGS_UNTIL] = swings_until
     work[i, OPEN] = 1.0 if phase <= RETREAT else 0.0
 
 
 @compiled
-def longest_step(work: np.ndarray, n_breathing: int, tau: float, swing_rate: float) -> float:
+def longest_step(work: np.ndarray, n_breathing: int, tau: float, swing_step: float) -> float:
     """Longest step from `tau` whose nodes see the lifts' exponentials and oscillations."""
     longest = math.inf
     for i in range(n_breathing):
-        if work[i, RATE] != 0.0 and tau < work[i, FOLDS_UNTIL]:
+        if tau < work[i, FOLDS_UNTIL]:
             wait = max(work[i, FOLDS_FROM] - tau, 0.0)
-            longest = min(longest, wait + LONGEST_FOLD / abs(work[i, RATE]))
+            longest = min(longest, wait + work[i, FOLD_STEP])
         if tau < work[i, SWINGS_UNTIL]:
-            longest = min(longest, LONGEST_SWING / swing_rate)
+            longest = min(longest, swing_step)
     return longest
 
 
@@ -185,25 +189,27 @@ def turn_over(
 ) -> None:
     """Write the factors by which the phasors turn from the start of a step to its nodes."""
     omega, pole_re, pole_im = window.omega, window.pole_re, window.pole_im
-    lanes = turns.shape[1]
+    lanes = turns.shape[0] // FORCED
     for k in range(lanes):
-        turns[TURN_SIN, k], turns[TURN_COS, k] = sine_and_cosine(omega * (NODES[k] * h))
+        turns[LANES * TURN_SIN + k], turns[LANES * TURN_COS + k] = sine_and_cosine(
+            omega * (NODES[k] * h)
+        )
     if engine.runner_gain > 0.0:
         for k in range(lanes):
             size = exponential(pole_re * (NODES[k] * h))
             s, c = sine_and_cosine(pole_im * (NODES[k] * h))
-            turns[TURN_FREE_RE, k], turns[TURN_FREE_IM, k] = size * c, size * s
+            turns[LANES * TURN_FREE_RE + k], turns[LANES * TURN_FREE_IM + k] = size * c, size * s
     if 0.0 < swing_rate * h <= LARGEST_ANGLE and swing_decay * h <= LARGEST_EXPONENT:
         for k in range(lanes):
             size = exponential(-swing_decay * (NODES[k] * h))
             s, c = sine_and_cosine(swing_rate * (NODES[k] * h))
-            turns[TURN_SWING_RE, k], turns[TURN_SWING_IM, k] = size * c, size * s
+            turns[LANES * TURN_SWING_RE + k], turns[LANES * TURN_SWING_IM + k] = size * c, size * s
     elif swing_rate > 0.0:
         for k in range(lanes):
             size = math.exp(-swing_decay * (NODES[k] * h))
             turned = swing_rate * (NODES[k] * h)
-            turns[TURN_SWING_RE, k] = size * math.cos(turned)
-            turns[TURN_SWING_IM, k] = size * math.sin(turned)
+            turns[LANES * TURN_SWING_RE + k] = size * math.cos(turned)
+            turns[LANES * TURN_SWING_IM + k] = size * math.sin(turned)
 
 
 @compiled
@@ -219,29 +225,29 @@ def force(
     here: np.ndarray,
 ) -> None:
     """Write the forcing of a breathing cylinder at the nodes of a step that starts at `tau`."""
-    lanes = here.shape[1]
+    lanes = here.shape[0] // FORCED
     size, rate = work[i, EXPONENTIAL], work[i, RATE] * h
     constant, slope = work[i, CONSTANT] + work[i, SLOPE] * tau, work[i, SLOPE] * h
     for k in range(lanes):
-        here[LIFT, k] = constant + slope * NODES[k]
+        here[LANES * LIFT + k] = constant + slope * NODES[k]
     if rate != 0.0:
         if abs(rate) <= LARGEST_EXPONENT:
             for k in range(lanes):
-                here[EXPONENTIAL, k] = size * exponential(rate * NODES[k])
+                here[LANES * EXPONENTIAL + k] = size * exponential(rate * NODES[k])
         else:
             for k in range(lanes):
-                here[EXPONENTIAL, k] = size * math.exp(rate * NODES[k])
+                here[LANES * EXPONENTIAL + k] = size * math.exp(rate * NODES[k])
         for k in range(lanes):
-            here[LIFT, k] += here[EXPONENTIAL, k]
+            here[LANES * LIFT + k] += here[LANES * EXPONENTIAL + k]
     if swings:
         re_0, im_0 = work[i, SWING_RE], work[i, SWING_IM]
         scale_re = work[i, SCALE] if engine.cam else 0.0
         scale_im = 0.0 if engine.cam else work[i, SCALE]
         for k in range(lanes):
-            re = re_0 * turns[TURN_SWING_RE, k] - im_0 * turns[TURN_SWING_IM, k]
-            im = re_0 * turns[TURN_SWING_IM, k] + im_0 * turns[TURN_SWING_RE, k]
-            here[SWING_RE, k], here[SWING_IM, k] = re, im
-            here[LIFT, k] += scale_re * re + scale_im * im
+            re = re_0 * turns[LANES * TURN_SWING_RE + k] - im_0 * turns[LANES * TURN_SWING_IM + k]
+            im = re_0 * turns[LANES * TURN_SWING_IM + k] + im_0 * turns[LANES * TURN_SWING_RE + k]
+            here[LANES * SWING_RE + k], here[LANES * SWING_IM + k] = re, im
+            here[LANES * LIFT + k] += scale_re * re + scale_im * im
     s_0, c_0 = work[i, SIN], work[i, COS]
     re_0, im_0 = work[i, FREE_RE], work[i, FREE_IM]
     gain = engine.runner_gain
@@ -251,18 +257,20 @@ def force(
     mean_volume = engine.clearance_volume + half
     per_gas, volume_rate = 1.0 / gas, half * window.omega
     for k in range(lanes):
-        s = s_0 * turns[TURN_COS, k] + c_0 * turns[TURN_SIN, k]
-        c = c_0 * turns[TURN_COS, k] - s_0 * turns[TURN_SIN, k]
-        re = re_0 * turns[TURN_FREE_RE, k] - im_0 * turns[TURN_FREE_IM, k]
-        here[FREE_IM, k] = re_0 * turns[TURN_FREE_IM, k] + im_0 * turns[TURN_FREE_RE, k]
-        here[SIN, k], here[COS, k], here[FREE_RE, k] = s, c, re
+        s = s_0 * turns[LANES * TURN_COS + k] + c_0 * turns[LANES * TURN_SIN + k]
+        c = c_0 * turns[LANES * TURN_COS + k] - s_0 * turns[LANES * TURN_SIN + k]
+        re = re_0 * turns[LANES * TURN_FREE_RE + k] - im_0 * turns[LANES * TURN_FREE_IM + k]
+        here[LANES * FREE_IM + k] = (
+            re_0 * turns[LANES * TURN_FREE_IM + k] + im_0 * turns[LANES * TURN_FREE_RE + k]
+        )
+        here[LANES * SIN + k], here[LANES * COS + k], here[LANES * FREE_RE + k] = s, c, re
         runner = 1.0 - gain * re - gain_sin * s - gain_cos * c  # Eq. 5 and 6
         volume = mean_volume - half * c
         # The oscillation of Appendix B would take the valve beyond its seat: there it rests.
-        here[AREA, k] = area_step * max(here[LIFT, k], 0.0)
-        here[CAPACITY, k] = runner * volume * per_gas
-        here[PRESSURE_PER_MASS, k] = gas / volume
-        here[VOLUME_RATE, k] = volume_rate * s
+        here[LANES * AREA + k] = area_step * max(here[LANES * LIFT + k], 0.0)
+        here[LANES * CAPACITY + k] = runner * volume * per_gas
+        here[LANES * PRESSURE_PER_MASS + k] = gas / volume
+        here[LANES * VOLUME_RATE + k] = volume_rate * s
 
 
 @compiled
@@ -285,7 +293,8 @@ def forcing_at(
     free *= math.exp(window.pole_re * time)
     forced = window.acceleration_sin * s + window.acceleration_cos * c
     lift = work[i, CONSTANT] + work[i, SLOPE] * (tau + time)
-    lift += work[i, EXPONENTIAL] * math.exp(work[i, RATE] * time)
+    if work[i, RATE] != 0.0:
+        lift += work[i, EXPONENTIAL] * math.exp(work[i, RATE] * time)
     turned = swing_rate * time
     if engine.cam:
         swing = work[i, SWING_RE] * math.cos(turned) - work[i, SWING_IM] * math.sin(turned)

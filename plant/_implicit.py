@@ -138,6 +138,8 @@ def exact_step(base: float, area: float, full: float) -> tuple[float, float]:
     x = 1.0 - sign * v * v
     if v == 0.0:
         return 0.0, x
+    if b > 0.0:
+        flow = (x - m) / b  # so that M is to rounding what x is; Psi cancels near x = 1
     return flow, x - m / (1.0 - b * slope_d)
 
 

@@ -49,7 +49,7 @@ from ._layout import (
 )
 from ._segment import integrate_segment
 from ._workspace import (
-    CLOSES_ON_AIR,
+    AIR,
     COEFFICIENT,
     CORNERS,
     COS,
@@ -114,7 +114,7 @@ def advance_window(
     trace: np.ndarray,  # (rows, samples of one or more windows)
     first: int,  # column of the trace at which this window starts
     work: np.ndarray,  # (n + 1, SCRATCH_COLUMNS), scratch: nothing is allocated here
-    forcing: np.ndarray,  # (n + 1, FORCING_ROWS, LANES), scratch
+    forcing: np.ndarray,  # (n + 1, FORCED * LANES), scratch
     breathing: np.ndarray,  # (n,) integers, scratch: the open cylinders, a row of `work` each
 ) -> int:
     """Advance the plant by one window, in which one cylinder opens. Returns a status."""
@@ -202,9 +202,7 @@ def _volume(engine: KernelEngine, cosine: float) -> float:
 
 
 @compiled
-def _until_cut(
-    window: Window, cylinders: np.ndarray, j: int, work: np.ndarray, i: int
-) -> float:
+def _until_cut(window: Window, cylinders: np.ndarray, j: int, work: np.ndarray, i: int) -> float:
     """Time to the end of the present form of the valve's motion, s."""
     if cylinders[j, PHASE] == CAM:
         return (cylinders[j, DURATION] - cylinders[j, TURNED]) / window.degree_rate
@@ -244,12 +242,11 @@ def _prepare(
     i: int,
     angle_deg: float,
 ) -> None:
-    """Give an open cylinder its row: corners, crank phasor, free runner motion, closing air."""
+    """Give an open cylinder its row: corners, air it can take in, crank and runner phasors."""
     if cylinders[j, PHASE] == CAM:
-        closing_deg = angle_deg - cylinders[j, TURNED] + cylinders[j, DURATION]
+        open_deg = cylinders[j, DURATION]
     else:
-        remaining = cylinders[j, DURATION] - cylinders[j, SINCE]
-        closing_deg = angle_deg + remaining * window.degree_rate
+        open_deg = cylinders[j, DURATION] * window.degree_rate
         rise_end, turn, dwell_end, seating_start, closing = _profile_corners(
             cylinders[j, LIFT],
             cylinders[j, DURATION],
@@ -262,8 +259,12 @@ def _prepare(
         work[i, CORNERS], work[i, CORNERS + 1], work[i, CORNERS + 2] = rise_end, turn, dwell_end
         work[i, CORNERS + 3], work[i, CORNERS + 4] = seating_start, closing
     work[i, COEFFICIENT] = flow_coefficient
+    closing_deg = angle_deg - cylinders[j, TURNED] + open_deg
+    # What it can take in: the volume at closing full of ambient air, or half of what would pass
+    # at sonic flow. Errors are measured by it.
     swept = engine.half_stroke_volume * (1.0 - math.cos(math.radians(closing_deg)))
-    work[i, CLOSES_ON_AIR] = engine.ambient_pressure * swept / engine.gas
+    sonic = flow_coefficient * cylinders[j, LIFT] * (open_deg / window.degree_rate)
+    work[i, AIR] = min(engine.ambient_pressure * swept / engine.gas, 0.5 * sonic)
     work[i, SENSITIVITY] = 0.0
     s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
     work[i, SIN], work[i, COS] = s, c

@@ -39,6 +39,8 @@ NOT_PERIODIC = 4  # status: the most cycles are done
 
 # The choice of steps makes a window's result jump by about 1e-6 between neighbouring starts.
 APART = 1e-4  # least distance of the secant's two points, relative: the jumps do not tilt it
+JITTER = 5e-7  # change that those jumps alone may cause, at resolution 1
+JITTER_PATIENCE = 3  # extrapolations without a smaller change after which such a one is the end
 FORGIVEN = 1e-5  # change that may rise from one iteration to the next
 PATIENCE = 8  # extrapolations without a smaller change after which plain cycling goes on
 PLAIN_PATIENCE = 20  # plain cycles without a smaller change after which it is an alternation
@@ -139,6 +141,8 @@ def solve_periodic(
             _copy(tables, manifolds, BEFORE, BEST_BEFORE)
             _copy(tables, manifolds, AFTER, BEST_AFTER)
         if best <= tolerance:
+            break
+        if idle > JITTER_PATIENCE and best * window.resolution**3 <= JITTER:
             break
         if plain and idle * turns > PLAIN_PATIENCE * n and best <= ALTERNATING:
             break

@@ -20,7 +20,7 @@ from ._layout import (
     KernelEngine,
     Window,
 )
-from ._workspace import FLOW, STAGE, START
+from ._workspace import FLOW, POWER, STAGE, START
 
 
 @compiled
@@ -36,9 +36,7 @@ def record_step(
     h: float,
     swing_rate: float,
     swing_decay: float,
-    throttle_0: float,
     throttle_mean: float,
-    throttle_3: float,
     pressure: float,
     trace: np.ndarray,
     first: int,
@@ -46,10 +44,12 @@ def record_step(
 ) -> int:
     """Write the trace samples inside one step.
 
-    Masses by the cubic through the ends of the step, flows by its slope; lift and runner
+    Masses by a cubic through the ends of the step, flows by its slope; lift and runner
     from the phasors at the start of the step. `manifold` still holds the start of the step.
     """
     start = now + begin
+    m = work.shape[0] - 1
+    throttle_0, throttle_3 = work[m, POWER], work[m, POWER + 3]
     while sample < window.samples and sample * window.spacing < start + h - SAME_TIME:
         u = max((sample * window.spacing - start) / h, 0.0)
         net_0, net_3 = throttle_0, throttle_3
@@ -80,15 +80,15 @@ def record_step(
 
 
 @compiled
-def _cubic(u: float, h: float, y_0: float, y_2: float, slope_0: float, slope_2: float) -> float:
+def _cubic(u: float, h: float, y_0: float, y_3: float, slope_0: float, slope_3: float) -> float:
     """Hermite cubic through the ends of a step."""
     v = 1.0 - u
     end = u * u * (3.0 - 2.0 * u)
-    return y_0 + end * (y_2 - y_0) + u * v * h * (v * slope_0 - u * slope_2)
+    return y_0 + end * (y_3 - y_0) + u * v * h * (v * slope_0 - u * slope_3)
 
 
 @compiled
-def _cubic_slope(u: float, mean: float, slope_0: float, slope_2: float) -> float:
+def _cubic_slope(u: float, mean: float, slope_0: float, slope_3: float) -> float:
     """Slope of that cubic, whose mean over the step is `mean`: what flows is what is stored."""
     v = 1.0 - u
-    return 6.0 * u * v * mean + v * (1.0 - 3.0 * u) * slope_0 + u * (3.0 * u - 2.0) * slope_2
+    return 6.0 * u * v * mean + v * (1.0 - 3.0 * u) * slope_0 + u * (3.0 * u - 2.0) * slope_3

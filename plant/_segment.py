@@ -13,7 +13,7 @@ import numpy as np
 
 from ._compile import compiled
 from ._error import local_error
-from ._forcing import LONGEST_RING, force, longest_step, start_lift, turn_over
+from ._forcing import LONGEST_RING, LONGEST_SWING, force, longest_step, start_lift, turn_over
 from ._layout import (
     DURATION,
     INFLOW,
@@ -29,9 +29,9 @@ from ._layout import FLOW as PORT_FLOW
 from ._method import B_0, B_1, B_2, C_1, C_2, EXPLICIT, GAMMA
 from ._record import record_step
 from ._stage import solve_stage
-from ._workspace import BASE, FLOW, PHASORS, POWER, SENSITIVITY, STAGE, START
+from ._workspace import BASE, FLOW, LANES, PHASORS, POWER, SENSITIVITY, STAGE, START
 
-LONGEST_STEP_DEG = 20.0
+LONGEST_STEP_DEG = 10.0
 SHORTEST_STEP_DEG = 1e-4
 SAFETY = 0.8  # share of the step that is expected to have just the error allowed
 LARGEST_GROWTH = 2.5
@@ -61,6 +61,7 @@ def integrate_segment(
         swing_rate, swing_decay = engine.oscillation_frequency, engine.oscillation_decay
     if engine.cam and n_breathing > 0:
         swing_rate = 2.0 * math.pi / cylinders[breathing[0], DURATION] * window.degree_rate
+    swing_step = LONGEST_SWING / swing_rate if swing_rate > 0.0 else math.inf
     coupling = 0.0
     for i in range(n_breathing):
         j = breathing[i]
@@ -81,7 +82,7 @@ def integrate_segment(
         longest = min(longest, LONGEST_RING / window.pole_im)
     tau, step = 0.0, first_step
     while True:
-        step = min(step, longest, longest_step(work, n_breathing, tau, swing_rate))
+        step = min(step, longest, longest_step(work, n_breathing, tau, swing_step))
         h = _divided(step, length - tau)
         implicit = GAMMA * h
         turn_over(engine, window, swing_rate, swing_decay, h, turns)
@@ -105,7 +106,7 @@ def integrate_segment(
                 guess = pressure_1 + (pressure_2 - pressure_1) * ((1.0 - C_1) / (C_2 - C_1))
             status, found, coupling, damping = solve_stage(
                 engine, work, forcing, k, n_breathing, implicit, window.throttle_area,
-                mass + known, guess, coupling,
+                mass + known, guess, coupling, tighter,
             )  # fmt: skip
             if status != OK:
                 return status, sample, h
@@ -132,7 +133,7 @@ def integrate_segment(
         if window.samples > 0:
             sample = record_step(
                 engine, window, manifold, work, breathing, n_breathing, now, tau, h, swing_rate,
-                swing_decay, inlet_0, inlet, inlet_3, pressure_3, trace, first, sample,
+                swing_decay, inlet, pressure_3, trace, first, sample,
             )  # fmt: skip
         for i in range(n_breathing):
             power = B_0 * work[i, POWER] + B_1 * work[i, POWER + 1] + B_2 * work[i, POWER + 2]
@@ -141,7 +142,7 @@ def integrate_segment(
             work[i, FLOW] = work[i, FLOW + 3]
             work[i, START] = work[i, STAGE]
             for c in range(PHASORS):
-                work[i, c] = forcing[i, c, 2]
+                work[i, c] = forcing[i, LANES * c + 2]
         pressure_rate = (pressure_3 - pressure_2) / ((1.0 - C_2) * h)
         pressure = pressure_3
         mass = engine.capacity * pressure

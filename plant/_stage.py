@@ -17,6 +17,7 @@ from ._workspace import (
     CAPACITY,
     FLOW,
     FRESH_SENSITIVITY,
+    LANES,
     POWER,
     PRESSURE_PER_MASS,
     SENSITIVITY,
@@ -25,8 +26,9 @@ from ._workspace import (
 )
 
 # The sweep is repeated where the manifold pressure changes by more than this, relative to the
-# ambient one, or a stale response makes it wrong by more than that.
-FARTHEST = 1e-2
+# ambient one, or a stale response makes it wrong by more than that, at resolution 1. The error
+# of a linear response is as the square of the change.
+FARTHEST = 3e-3
 STALE = 2e-6
 MOST_SWEEPS = 60
 
@@ -43,6 +45,7 @@ def solve_stage(
     manifold_base: float,  # known mass of the manifold, kg
     guess: float,  # of the manifold pressure, Pa
     coupling: float,  # response of all cylinders to the manifold pressure, kg/Pa
+    tighter: float,  # factor by which all tolerances are divided
 ) -> tuple[int, float, float, float]:
     """Solve the implicit stage and write its flows.
 
@@ -63,17 +66,19 @@ def solve_stage(
         per_capacity = 1.0 / capacity
         taken, fresh = 0.0, 0.0
         for i in range(n_breathing):
-            base, area = work[i, BASE], forcing[i, AREA, k]
-            cylinder_full = guess * forcing[i, CAPACITY, k]
+            base, area = work[i, BASE], forcing[i, LANES * AREA + k]
+            cylinder_full = guess * forcing[i, LANES * CAPACITY + k]
             if cylinder_full <= 0.0:
                 return RUNNER_COLLAPSED, guess, fresh, 1.0
             if exact:
-                area *= engine.exact_scale * forcing[i, PRESSURE_PER_MASS, k] * cylinder_full
+                area *= (
+                    engine.exact_scale * forcing[i, LANES * PRESSURE_PER_MASS + k] * cylinder_full
+                )
                 flow, sensitivity = exact_step(base, area, cylinder_full)
             else:
                 flow, sensitivity = simplified_step(base, area, cylinder_full)
             flow *= area
-            sensitivity *= forcing[i, CAPACITY, k]
+            sensitivity *= forcing[i, LANES * CAPACITY + k]
             work[i, STAGE] = base + flow
             work[i, FRESH_SENSITIVITY] = sensitivity
             taken += flow
@@ -86,8 +91,9 @@ def solve_stage(
         inflow = throttle_step * flow
         pressure = (base + inflow) * per_capacity
         change = pressure - guess
-        stale = abs(change * (fresh - coupling))
-        if abs(change) <= FARTHEST * p_amb and stale <= STALE * full:
+        stale = tighter * abs(change * (fresh - coupling))
+        far = tighter * change * change > (FARTHEST * p_amb) ** 2
+        if not far and stale <= STALE * full:
             break
         sweeps += 1
         if sweeps == MOST_SWEEPS:
@@ -106,7 +112,7 @@ def solve_stage(
         work[i, STAGE] = mass
         work[i, FLOW + 1 + k] = flow
         work[i, SENSITIVITY] = work[i, FRESH_SENSITIVITY]
-        excess = engine.exhaust_pressure - mass * forcing[i, PRESSURE_PER_MASS, k]
-        work[i, POWER + 1 + k] = excess * forcing[i, VOLUME_RATE, k]
+        excess = engine.exhaust_pressure - mass * forcing[i, LANES * PRESSURE_PER_MASS + k]
+        work[i, POWER + 1 + k] = excess * forcing[i, LANES * VOLUME_RATE + k]
     work[manifold, FLOW + 1 + k] = net
     return OK, pressure, fresh, 1.0 - sensitivity * p_amb / pressure

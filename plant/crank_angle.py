@@ -155,10 +155,10 @@ class CrankAnglePlant:
             The cycle is periodic when what it hands on to the next repeats: the manifold mass
             to this share of itself, the masses of open cylinders to this share of a displaced
             volume of ambient air, and their work to this share of its volume work. Equal
-            cylinders are compared event by event, others cycle by cycle. Now and then the
-            choice of steps alternates between two neighbours for ever; changes that have
-            stopped shrinking pass below 5e-5, a quarter of the accuracy, and ``residual``
-            tells it.
+            cylinders are compared event by event, others cycle by cycle. The choice of steps
+            jumps between neighbouring states, so changes that have stopped shrinking pass
+            below 5e-7 at resolution 1 (and as its inverse cube at others), or, should they
+            alternate for ever, below 5e-5; ``residual`` tells it.
 
         Raises
         ------
@@ -429,7 +429,7 @@ class CrankAnglePlant:
         area = self.engine.throttle.area(cycle.throttle_deg)
         window = self._window(cycle.speed_rpm, area, samples)
         cylinders, manifold = cycle.state.cylinders.copy(), cycle.state.manifold.copy()
-        self._advance_cycle(window, table, advance, cylinders, manifold, raw)
+        self._advance_cycles(window, table, advance, cylinders, manifold, raw)
         step = self.engine.event_angle_deg / samples
         return Trace.from_kernel(raw, -advance, step, cycle.speed_rpm, self.engine)
 
@@ -505,7 +505,7 @@ class CrankAnglePlant:
         step = in_range("trace step", step_deg, 0.001, event, "deg")
         return max(round(event / step), 1)
 
-    def _advance_cycle(
+    def _advance_cycles(
         self,
         window: layout.Window,
         table: FloatArray,
@@ -513,6 +513,7 @@ class CrankAnglePlant:
         cylinders: FloatArray,
         manifold: FloatArray,
         trace: FloatArray,
+        cycles: int = 1,
     ) -> None:
         status = kernel.advance_cycles(
             self._kernel_engine,
@@ -523,5 +524,6 @@ class CrankAnglePlant:
             cylinders,
             manifold,
             trace,
+            cycles,
         )
         check_status(status, window.degree_rate / 6.0)

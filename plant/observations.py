@@ -24,7 +24,7 @@ PressureSignal = Literal["cylinder_pressure", "runner_pressure", "manifold_press
 PRESSURE_SIGNALS = ("cylinder_pressure", "runner_pressure", "manifold_pressure")
 COARSEST_STEP_DEG = 1.0  # deg, of the trace that a pressure is compared with
 FINEST_STEP_DEG = 0.05  # deg
-RESOLUTION = 8.0  # of the plant: a fit differentiates it, and the choice of steps is no smooth one
+RESOLUTION = 32.0  # of the plant: a fit differentiates it, and the choice of steps is no smooth one
 
 
 @dataclass(frozen=True, slots=True)

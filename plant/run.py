@@ -11,6 +11,7 @@ from . import _layout as layout
 from ._kernel_interface import check_status
 from .cycle import CompletedEvent, EventResult
 from .errors import ParameterError
+from .kinematics import FloatArray
 from .state import PlantState
 from .trace import Trace
 from .valve import OnInfeasible, ValveCommand
@@ -95,7 +96,7 @@ class PlantRun:
         window = plant._window(speed, area, samples)
         raw = np.full((plant._trace_rows, samples), np.nan)
         event_angle = plant.engine.event_angle_deg
-        angles = (opening - np.arange(n)) % n * event_angle - advance
+        angles: FloatArray = (opening - np.arange(n)) % n * event_angle - advance
         cylinders, manifold = state.cylinders.copy(), state.manifold.copy()
         status = kernel.advance_window(
             plant._kernel_engine,

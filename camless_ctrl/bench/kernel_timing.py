@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from plant import Cycle
+from plant import CrankAnglePlant, Cycle, ValveCommand
 from plant.kinematics import FloatArray
 
 from .points import BenchPoint
@@ -97,11 +97,11 @@ class KernelSurvey:
         )
 
 
-def kernel_timer(cycle: Cycle) -> Callable[[], float]:
+def kernel_timer(cycle: Cycle, count: int | None = None) -> Callable[[], float]:
     """Return what times a cycle once, in seconds.
 
-    It goes on from the periodic state, traces off, for as many cycles as a clock can time. The
-    call from Python of each cycle is in the time.
+    It goes on from the periodic state, traces off, for as many cycles as a clock can time, in
+    one call from Python.
     """
     plant, state = cycle.plant, cycle.state
     area = plant.engine.throttle.area(cycle.throttle_deg)
@@ -117,15 +117,21 @@ def kernel_timer(cycle: Cycle) -> Callable[[], float]:
     def run(count: int) -> float:
         cylinders, manifold = state.cylinders.copy(), state.manifold.copy()
         started = time.perf_counter()
-        for _ in range(count):
-            plant._advance_cycle(
-                window, commands, state.event_advance_deg, cylinders, manifold, no_trace
-            )
+        plant._advance_cycles(
+            window, commands, state.event_advance_deg, cylinders, manifold, no_trace, count
+        )
         return (time.perf_counter() - started) / count
 
     run(1)  # compiles, and warms the caches
-    count = max(1, round(SHORTEST_TIMING / run(2)))
-    return lambda: run(count)
+    cycles = max(1, round(SHORTEST_TIMING / run(2))) if count is None else count
+    return lambda: run(cycles)
+
+
+def time_call(repeats: int) -> float:
+    """What a call from Python takes, us: a cycle in which all valves stay shut, less the cycle."""
+    cycle = CrankAnglePlant().steady_cycle(1500.0, ValveCommand(0.0, 90.0))
+    called = least_time_us(kernel_timer(cycle, count=1), 100 * repeats)
+    return called - least_time_us(kernel_timer(cycle), repeats)
 
 
 def least_time_us(timer: Callable[[], float], repeats: int) -> float:

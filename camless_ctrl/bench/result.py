@@ -50,6 +50,8 @@ class BenchResult:
     ----------
     nominal : tuple of KernelFigures
         Times of the kernel over speeds and commands of the nominal plant.
+    call_us : float
+        What a call from Python adds to that, us.
     survey : KernelSurvey
         Errors and times of the kernel over the feasible map.
     comparison : Comparison
@@ -66,6 +68,7 @@ class BenchResult:
     """
 
     nominal: tuple[KernelFigures, ...]
+    call_us: float
     survey: KernelSurvey
     comparison: Comparison
     reference_error: float
@@ -119,6 +122,7 @@ class BenchResult:
         return {
             "kernel": {
                 "us_per_cycle": self.us_per_cycle,
+                "call_us": self.call_us,
                 "max_charge_error": survey.worst_charge.charge_error,
                 "max_loss_error": survey.worst_loss.loss_error,
                 "points": len(survey.figures),
@@ -200,7 +204,10 @@ class BenchResult:
         return Table(title, columns, tuple(rows))
 
     def _nominal_table(self) -> Table:
-        rows = tuple((str(f.point), f"{f.us_per_cycle:.1f}") for f in self.nominal)
+        rows = (
+            *((str(f.point), f"{f.us_per_cycle:.1f}") for f in self.nominal),
+            ("a call from Python adds", f"{self.call_us:.1f}"),
+        )
         return Table(
             "This kernel, nominal four-cylinder plant, one core, traces off", ("point", "us"), rows
         )

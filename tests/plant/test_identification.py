@@ -13,6 +13,7 @@ from plant import (
 from plant._engine_fields import engine_fields, field_unit, get_field, replace_engine_fields
 from plant.identification import FreeParameter, identify
 from plant.observations import (
+    RESOLUTION,
     ChargeObservation,
     Experiment,
     TraceObservation,
@@ -95,7 +96,7 @@ def test_the_fit_is_a_minimum_of_the_relative_error(printed, published_fit):
         total = 0.0
         for profile, speed, command, charge, loss in PRINTED:
             kind = "conventional" if profile == "conventional" else "camless"
-            cycle = CrankAnglePlant(engine, profile=kind, resolution=8.0).steady_cycle(
+            cycle = CrankAnglePlant(engine, profile=kind, resolution=RESOLUTION).steady_cycle(
                 speed, command
             )
             total += (1e6 * cycle.air_charge[0] / charge - 1.0) ** 2

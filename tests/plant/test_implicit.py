@@ -40,11 +40,17 @@ def root(flow, m, b):
     return brentq(lambda x: x - m - b * flow(x), low, high, xtol=1e-15, rtol=1e-15, maxiter=500)
 
 
+def solved(step, m, b):
+    """The mass ratio x that a step of known mass m and area b comes to, and dM/dK, at K = 1."""
+    flow, sensitivity = step(m, b, 1.0)
+    return m + b * flow, sensitivity
+
+
 @pytest.mark.parametrize(("step", "flow"), STEPS)
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(m=masses, b=areas)
 def test_step_solves_its_equation(step, flow, m, b):
-    x, sensitivity = step(m, b)
+    x, sensitivity = solved(step, m, b)
     expected = root(flow, m, b)
     assert x == pytest.approx(expected, rel=1e-11, abs=1e-13)
     assert min(m, 1.0) - 1e-12 <= x <= max(m, 1.0) + 1e-12
@@ -68,14 +74,24 @@ def test_sensitivity_is_the_response_to_the_upstream_pressure(step, flow, area_p
 
     h = 1e-5
     slope = (mass(1.0 + h) - mass(1.0 - h)) / (2.0 * h)
-    _, sensitivity = step(m, b)
+    _, sensitivity = solved(step, m, b)
     assert sensitivity == pytest.approx(slope, rel=2e-4, abs=2e-6)
+
+
+@pytest.mark.parametrize(("step", "flow"), STEPS)
+@pytest.mark.parametrize("full", [3e-5, 7.0])
+def test_a_step_knows_no_unit_of_mass(step, flow, full):
+    for m, b in ((0.2, 0.1), (0.9, 0.4), (1.3, 0.2)):
+        x, sensitivity = solved(step, m, b)
+        scaled, scaled_sensitivity = step(m * full, b * full, full)
+        assert m + b * scaled == pytest.approx(x, rel=1e-12)
+        assert scaled_sensitivity == pytest.approx(sensitivity, rel=1e-9)
 
 
 def test_nothing_cancels_in_a_closing_valve():
     """A valve about to close: the mass does not answer to the manifold."""
     for b in (1e-8, 1e-12, 1.3e-17, 1e-30, 1e-200):
-        x, sensitivity = simplified_step(0.7417730432617, b)
+        x, sensitivity = solved(simplified_step, 0.7417730432617, b)
         assert x == pytest.approx(0.7417730432617, abs=2.0 * b)
         assert 0.0 <= sensitivity <= 2.0 * b
 

@@ -156,16 +156,24 @@ def test_errors_fall_with_third_order(reference, speed_rpm, command):
     point = Point(speed_rpm, command, engine=cylinders(1))
     _, other = kernel_and_reference(reference, point, rtol=1e-11)
 
-    def solution(resolution):
+    def solution(resolution, command=command):
         cycle = CrankAnglePlant(point.engine, resolution=resolution).steady_cycle(
             speed_rpm, command
         )
         return np.array([cycle.air_charge[0], cycle.pumping_loss[0]])
 
-    limit = solution(128.0)
-    assert limit == pytest.approx([other.charge[0], other.loss[0]], rel=1e-6)
-    resolutions = np.array([2.0, 4.0, 8.0, 16.0, 32.0])
-    errors = np.array([np.abs(solution(r) / limit - 1.0) for r in resolutions])
-    orders = -np.polyfit(np.log(resolutions), np.log(errors), 1)[0]
-    assert np.all(orders >= 2.6)
-    assert np.all(orders <= 3.4)
+    assert solution(256.0) == pytest.approx([other.charge[0], other.loss[0]], rel=1e-6)
+    # At one command the error changes its sign with the choice of steps: take several.
+    near = [command.replace(duration_deg=command.duration_deg + d) for d in range(-4, 5)]
+    limits = [solution(256.0, c) for c in near]
+    resolutions = np.array([4.0, 8.0, 16.0, 32.0])
+    errors = [
+        np.mean(
+            [(solution(r, c) / limit - 1.0) ** 2 for c, limit in zip(near, limits, strict=True)], 0
+        )
+        for r in resolutions
+    ]
+    orders = -0.5 * np.polyfit(np.log(resolutions), np.log(errors), 1)[0]
+    assert 2.6 <= orders[0] <= 3.4
+    # The work sees the pressure of the stiff filling, where the stage order of two shows.
+    assert 2.4 <= orders[1] <= 3.4

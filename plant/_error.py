@@ -7,13 +7,13 @@ import numpy as np
 from ._compile import compiled
 from ._layout import WORK, KernelEngine
 from ._method import E_0, E_1, E_2, E_3
-from ._workspace import AIR, FLOW, LANES, LIFT, OPEN, POWER, SENSITIVITY, STAGE
+from ._workspace import FLOW, LANES, LIFT, OPEN, PER_MASS, POWER, SENSITIVITY, STAGE
 
-TOLERANCE = 1e-5  # local error of a mass over the air that a cylinder can take in, at resolution 1
+TOLERANCE = 5e-6  # local error of a mass over about what it comes to, at resolution 1
 LEAST_AIR = 0.1  # displaced volumes of ambient air, to which a small mass is compared
 WORK_TOLERANCE = 2.5e-4  # local error of the work over itself or its least, at resolution 1
 LEAST_WORK = 0.5  # J
-KINK = 10.0  # weight of an error where the flow turns round or the valve rests: no smooth slope
+KINK = 20.0  # weight of an error where the flow turns round or the valve rests: no smooth slope
 REVERSAL = 1e-3  # error of a step over a reversal, of the air that its first flow would move
 NEAR_REVERSAL = 0.25  # share of the flow at the start of a step below which it is about to turn
 RESTING = 1e-6  # mm, below zero: not rounding but the seat
@@ -33,16 +33,14 @@ def local_error(
 ) -> tuple[float, bool]:
     """Local error over the tolerance, and whether it is that of a flow that turns round.
 
-    Of the masses, relative to the air that a cylinder can take in up to its closing angle, and
-    of the work. The share of a stiff component is damped as the implicit step damps it.
+    Of the masses, relative to about the air that a cylinder takes in, and of the work. The
+    share of a stiff component is damped as the implicit step damps it.
     """
-    displaced = 2.0 * engine.half_stroke_volume * engine.ambient_pressure / engine.gas
     error, reverses = 0.0, False
     for i in range(n_breathing):
         flow_0, flow_2, flow = work[i, FLOW], work[i, FLOW + 2], work[i, FLOW + 3]
         damped = 1.0 - work[i, SENSITIVITY] * pressure / work[i, STAGE]
-        air = max(work[i, AIR], LEAST_AIR * displaced)
-        scale = h * damped / (TOLERANCE * air)
+        scale = h * damped * work[i, PER_MASS] * (1.0 / TOLERANCE)
         defect = abs(E_0 * flow_0 + E_1 * work[i, FLOW + 1] + E_2 * flow_2 + E_3 * flow)
         turns = flow_0 * flow_2 < 0.0 or flow_0 * flow < 0.0
         if work[i, OPEN] > 0.0 and (turns or abs(flow) < NEAR_REVERSAL * abs(flow_0)):

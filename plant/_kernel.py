@@ -14,6 +14,7 @@ import numpy as np
 
 from . import valve
 from ._compile import compiled
+from ._error import LEAST_AIR
 from ._fill import fill_segment
 from ._layout import (
     ACCELERATION,
@@ -49,12 +50,12 @@ from ._layout import (
 )
 from ._segment import integrate_segment
 from ._workspace import (
-    AIR,
     COEFFICIENT,
     CORNERS,
     COS,
     FREE_IM,
     FREE_RE,
+    PER_MASS,
     POWER,
     SENSITIVITY,
     SIN,
@@ -242,7 +243,7 @@ def _prepare(
     i: int,
     angle_deg: float,
 ) -> None:
-    """Give an open cylinder its row: corners, air it can take in, crank and runner phasors."""
+    """Give an open cylinder its row: corners, measure of its errors, crank and runner phasors."""
     if cylinders[j, PHASE] == CAM:
         open_deg = cylinders[j, DURATION]
     else:
@@ -260,11 +261,13 @@ def _prepare(
         work[i, CORNERS + 3], work[i, CORNERS + 4] = seating_start, closing
     work[i, COEFFICIENT] = flow_coefficient
     closing_deg = angle_deg - cylinders[j, TURNED] + open_deg
-    # What it can take in: the volume at closing full of ambient air, or half of what would pass
-    # at sonic flow. Errors are measured by it.
-    swept = engine.half_stroke_volume * (1.0 - math.cos(math.radians(closing_deg)))
+    # Errors are measured by about what it takes in: the stroke up to closing full of ambient
+    # air, or half of what would pass at sonic flow.
+    stroke = engine.half_stroke_volume * (1.0 - math.cos(math.radians(closing_deg)))
     sonic = flow_coefficient * cylinders[j, LIFT] * (open_deg / window.degree_rate)
-    work[i, AIR] = min(engine.ambient_pressure * swept / engine.gas, 0.5 * sonic)
+    air = engine.ambient_pressure / engine.gas
+    least = LEAST_AIR * air * 2.0 * engine.half_stroke_volume
+    work[i, PER_MASS] = 1.0 / max(min(air * stroke, 0.5 * sonic), least)
     work[i, SENSITIVITY] = 0.0
     s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
     work[i, SIN], work[i, COS] = s, c

@@ -81,7 +81,8 @@ SHUT, RISE, APPROACH, RETREAT, FALL, SEAT, CAM = 0, 1, 2, 3, 4, 5, 6
 MANIFOLD_MASS = 0  # kg
 INFLOW = 1  # integral of the throttle flow since the start, kg
 THROTTLE_FLOW = 2  # kg/s
-MANIFOLD_ENTRIES = 3
+STEPS = 3  # number of steps taken or tried since the start
+MANIFOLD_ENTRIES = 4
 
 # Rows of the trace: two of the manifold, then four for each cylinder.
 TRACE_PRESSURE, TRACE_THROTTLE = 0, 1

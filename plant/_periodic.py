@@ -28,6 +28,7 @@ from ._layout import (
     OK,
     PHASE,
     SHUT,
+    STEPS,
     THROTTLE_FLOW,
     WORK,
     Event,
@@ -292,3 +293,4 @@ def _write_cycle(tables: np.ndarray, manifolds: np.ndarray, turns: int) -> None:
     for c in range(manifolds.shape[1]):
         manifolds[BEFORE, c] = manifolds[BEST_BEFORE, c]
     manifolds[BEFORE, INFLOW] = 0.0
+    manifolds[BEFORE, STEPS] = 0.0

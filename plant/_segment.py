@@ -20,6 +20,7 @@ from ._layout import (
     MANIFOLD_MASS,
     MASS,
     OK,
+    STEPS,
     THROTTLE_FLOW,
     WORK,
     KernelEngine,
@@ -32,7 +33,7 @@ from ._stage import solve_stage
 from ._workspace import BASE, FLOW, LANES, PHASORS, POWER, SENSITIVITY, STAGE, START
 
 LONGEST_STEP_DEG = 10.0
-SHORTEST_STEP_DEG = 1e-4
+SHORTEST_STEP_DEG = 1e-6
 SAFETY = 0.8  # share of the step that is expected to have just the error allowed
 LARGEST_GROWTH = 2.5
 LEAST_REDUCTION, LARGEST_REDUCTION = 0.7, 0.1
@@ -80,10 +81,11 @@ def integrate_segment(
     shortest = SHORTEST_STEP_DEG / window.degree_rate / window.resolution
     if engine.runner_gain > 0.0:
         longest = min(longest, LONGEST_RING / window.pole_im)
-    tau, step = 0.0, first_step
+    tau, step, tried = 0.0, first_step, 0.0
     while True:
         step = min(step, longest, longest_step(work, n_breathing, tau, swing_step))
         h = _divided(step, length - tau)
+        tried += 1.0
         implicit = GAMMA * h
         turn_over(engine, window, swing_rate, swing_decay, h, turns)
         net = work[m, POWER]
@@ -160,6 +162,7 @@ def integrate_segment(
         cylinders[j, PORT_FLOW] = work[i, FLOW]
     manifold[MANIFOLD_MASS] = mass
     manifold[THROTTLE_FLOW] = work[m, POWER]
+    manifold[STEPS] += tried
     return OK, sample, step
 
 

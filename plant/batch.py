@@ -18,6 +18,7 @@ from . import _batch_kernel as kernel
 from ._batch_inputs import CYLINDER, BatchInputs
 from ._checks import one_of, positive, truth, whole
 from ._engine_numbers import engine_row
+from ._progress import Progress
 from .errors import ConvergenceError, InfeasibleProfileError, ParameterError, SimulationError
 from .kinematics import FloatArray
 from .valve import OnInfeasible, ValveCommand
@@ -25,7 +26,6 @@ from .valve import OnInfeasible, ValveCommand
 if TYPE_CHECKING:
     from .crank_angle import CrankAnglePlant
 
-Progress = Callable[[int, int], None]  # called with the points done and the points in all
 OnError = Literal["raise", "nan"]
 
 MOST_CHUNK = 256  # points a task: long enough to hide its cost, short enough to stop soon

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
-    from .batch import OnError, Progress
+    from ._progress import Progress
+    from .batch import OnError
 
 Profile = Literal["camless", "conventional"]
 Orifice = Literal["simplified", "exact"]

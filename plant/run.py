@@ -96,7 +96,8 @@ class PlantRun:
         window = plant._window(speed, area, samples)
         raw = np.full((plant._trace_rows, samples), np.nan)
         event_angle = plant.engine.event_angle_deg
-        angles: FloatArray = (opening - np.arange(n)) % n * event_angle - advance
+        places = np.arange(n, dtype=np.float64)
+        angles: FloatArray = (opening - places) % n * event_angle - advance
         cylinders, manifold = state.cylinders.copy(), state.manifold.copy()
         status = kernel.advance_window(
             plant._kernel_engine,

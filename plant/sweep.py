@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .batch import Progress
+from ._progress import Progress
 from .crank_angle import CrankAnglePlant
 from .kinematics import FloatArray
 

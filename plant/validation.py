@@ -8,6 +8,7 @@ from collections.abc import Callable
 from . import _claims, _claims_dynamics
 from ._claims import Finding, Measured
 from ._experiments import WIDE_OPEN_DEG, Experiments, Outcome
+from ._progress import Progress
 from ._validation_report import RMS_BAR, ValidationReport
 from ._validation_rows import FIGURE_BAR, ClaimResult, EqualCharge, FigureResult
 from .crank_angle import Orifice
@@ -33,8 +34,6 @@ __all__ = [
     "ValidationReport",
     "validate",
 ]
-
-Progress = Callable[[int, int], None]
 
 _CLAIMS: dict[str, Callable[[Experiments, PublishedClaim], Finding]] = {
     "saturation-750": _claims.saturation,

@@ -8,11 +8,12 @@ README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
 def test_the_example_runs_as_printed(capsys):
     mpl.use("agg")
-    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    examples = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     names = {}
-    exec(example, names)  # our own text
+    exec("\n".join(examples), names)  # our own text
     # Figure 4 of the paper prints 473 mg for this event
     assert abs(1e6 * names["cycle"].air_charge[0] / 473.0 - 1.0) < 0.02
+    assert names["maps"].air_charge.dims == ("speed_rpm", "duration_deg", "cylinder")
     assert "charge" in capsys.readouterr().out
 
 

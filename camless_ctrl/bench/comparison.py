@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .kernel_timing import kernel_timer
+from .kernel_timing import KernelTimer
 from .peers import Peer
 from .points import CHARGE_BAR, LOSS_BAR, BenchPoint
 from .reference import Reference
@@ -155,7 +155,7 @@ def compare(
     kernel_us, peer_us = [], []
     for k, reference in enumerate(timed):
         say(f"times at {reference.point.speed_rpm:g} rpm", k, len(timed))
-        kernel = kernel_timer(reference.point.cycle())
+        kernel = KernelTimer(reference.point.cycle()).time
         runs = [
             _timer(peer.prepare(reference.problem, m.setting))
             for peer, m in zip(peers, matched, strict=True)

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from plant import CrankAnglePlant, Cycle, ValveCommand
+from plant._layout import STEPS
 from plant.kinematics import FloatArray
 
 from .points import BenchPoint
@@ -29,12 +30,15 @@ class KernelFigures:
         The point.
     us_per_cycle : float
         Time of a cycle, us.
+    steps_per_cycle : float
+        Steps that the kernel takes or tries in a cycle.
     charge_error, loss_error : float
         Errors of the kernel's own periodic cycle against the reference; NaN if not compared.
     """
 
     point: BenchPoint
     us_per_cycle: float
+    steps_per_cycle: float
     charge_error: float = float("nan")
     loss_error: float = float("nan")
 
@@ -97,41 +101,61 @@ class KernelSurvey:
         )
 
 
-def kernel_timer(cycle: Cycle, count: int | None = None) -> Callable[[], float]:
-    """Return what times a cycle once, in seconds.
+class KernelTimer:
+    """Runs of the kernel from the periodic state of a cycle, traces off.
 
-    It goes on from the periodic state, traces off, for as many cycles as a clock can time, in
-    one call from Python.
+    Parameters
+    ----------
+    cycle : Cycle
+        The cycle.
     """
-    plant, state = cycle.plant, cycle.state
-    area = plant.engine.throttle.area(cycle.throttle_deg)
-    window = plant._window(cycle.speed_rpm, area, 0)
-    commands: FloatArray = np.array(
-        [
-            (lift, c.duration_deg, c.opening_deg + state.event_advance_deg)
-            for lift, c in zip(cycle.delivered_lift_mm, cycle.commands, strict=True)
-        ]
-    )
-    no_trace = np.empty((plant._trace_rows, 0))
 
-    def run(count: int) -> float:
+    def __init__(self, cycle: Cycle) -> None:
+        plant, state = cycle.plant, cycle.state
+        self._plant, self._state = plant, state
+        area = plant.engine.throttle.area(cycle.throttle_deg)
+        self._window = plant._window(cycle.speed_rpm, area, 0)
+        self._commands: FloatArray = np.array(
+            [
+                (lift, c.duration_deg, c.opening_deg + state.event_advance_deg)
+                for lift, c in zip(cycle.delivered_lift_mm, cycle.commands, strict=True)
+            ]
+        )
+        self.time(1)  # compiles, and warms the caches
+        self._enough = max(1, round(SHORTEST_TIMING / self.time(2)))
+
+    def time(self, count: int | None = None) -> float:
+        """Time of a cycle in s, of so many in one call from Python: as many as a clock can time."""
+        count = self._enough if count is None else count
+        return self._run(count)[0] / count
+
+    def steps(self) -> float:
+        """Steps that the kernel takes or tries in a cycle."""
+        return self._run(10)[1] / 10.0
+
+    def _run(self, count: int) -> tuple[float, float]:
+        plant, state = self._plant, self._state
         cylinders, manifold = state.cylinders.copy(), state.manifold.copy()
+        no_trace = np.empty((plant._trace_rows, 0))
         started = time.perf_counter()
         plant._advance_cycles(
-            window, commands, state.event_advance_deg, cylinders, manifold, no_trace, count
+            self._window,
+            self._commands,
+            state.event_advance_deg,
+            cylinders,
+            manifold,
+            no_trace,
+            count,
         )
-        return (time.perf_counter() - started) / count
-
-    run(1)  # compiles, and warms the caches
-    cycles = max(1, round(SHORTEST_TIMING / run(2))) if count is None else count
-    return lambda: run(cycles)
+        spent = time.perf_counter() - started
+        return spent, float(manifold[STEPS] - state.manifold[STEPS])
 
 
 def time_call(repeats: int) -> float:
     """What a call from Python takes, us: a cycle in which all valves stay shut, less the cycle."""
-    cycle = CrankAnglePlant().steady_cycle(1500.0, ValveCommand(0.0, 90.0))
-    called = least_time_us(kernel_timer(cycle, count=1), 100 * repeats)
-    return called - least_time_us(kernel_timer(cycle), repeats)
+    timer = KernelTimer(CrankAnglePlant().steady_cycle(1500.0, ValveCommand(0.0, 90.0)))
+    called = least_time_us(lambda: timer.time(1), 100 * repeats)
+    return called - least_time_us(timer.time, repeats)
 
 
 def least_time_us(timer: Callable[[], float], repeats: int) -> float:
@@ -141,10 +165,7 @@ def least_time_us(timer: Callable[[], float], repeats: int) -> float:
 
 def time_kernel(points: Sequence[BenchPoint], repeats: int) -> tuple[KernelFigures, ...]:
     """Time the kernel at points, without errors."""
-    return tuple(
-        KernelFigures(point, least_time_us(kernel_timer(point.cycle()), repeats))
-        for point in points
-    )
+    return tuple(_timed(KernelTimer(point.cycle()), point, repeats) for point in points)
 
 
 def survey_kernel(
@@ -159,6 +180,9 @@ def survey_kernel(
             progress(k, len(references))
         cycle = reference.point.cycle()
         errors = reference.errors(cycle.air_charge, cycle.pumping_loss)
-        spent = least_time_us(kernel_timer(cycle), repeats)
-        figures.append(KernelFigures(reference.point, spent, *errors))
+        figures.append(_timed(KernelTimer(cycle), reference.point, repeats, *errors))
     return KernelSurvey(tuple(figures))
+
+
+def _timed(timer: KernelTimer, point: BenchPoint, repeats: int, *errors: float) -> KernelFigures:
+    return KernelFigures(point, least_time_us(timer.time, repeats), timer.steps(), *errors)

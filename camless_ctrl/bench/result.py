@@ -11,6 +11,7 @@ from typing import Any
 from ..assessment import as_dict
 from ..requirements import RequirementResult
 from .comparison import Comparison, PeerFigures
+from .floor import STAGES
 from .kernel_timing import KernelFigures, KernelSurvey
 from .points import BenchPoint
 from .reference import METHOD
@@ -52,6 +53,8 @@ class BenchResult:
         Times of the kernel over speeds and commands of the nominal plant.
     call_us : float
         What a call from Python adds to that, us.
+    stage_ns : float
+        Time of the two closed-form steps of a stage, ns.
     survey : KernelSurvey
         Errors and times of the kernel over the feasible map.
     comparison : Comparison
@@ -69,6 +72,7 @@ class BenchResult:
 
     nominal: tuple[KernelFigures, ...]
     call_us: float
+    stage_ns: float
     survey: KernelSurvey
     comparison: Comparison
     reference_error: float
@@ -82,6 +86,10 @@ class BenchResult:
     def us_per_cycle(self) -> float:
         """The kernel's time of a cycle, us: the worst over the nominal points."""
         return max(found.us_per_cycle for found in self.nominal)
+
+    def floor_us(self, found: KernelFigures) -> float:
+        """What the chain of closed-form steps in a cycle would take alone, us."""
+        return 1e-3 * found.steps_per_cycle * STAGES * self.stage_ns
 
     def tables(self) -> tuple[Table, ...]:
         """Return what is to be printed."""
@@ -123,6 +131,7 @@ class BenchResult:
             "kernel": {
                 "us_per_cycle": self.us_per_cycle,
                 "call_us": self.call_us,
+                "stage_ns": self.stage_ns,
                 "max_charge_error": survey.worst_charge.charge_error,
                 "max_loss_error": survey.worst_loss.loss_error,
                 "points": len(survey.figures),
@@ -205,11 +214,22 @@ class BenchResult:
 
     def _nominal_table(self) -> Table:
         rows = (
-            *((str(f.point), f"{f.us_per_cycle:.1f}") for f in self.nominal),
-            ("a call from Python adds", f"{self.call_us:.1f}"),
+            *(
+                (
+                    str(f.point),
+                    f"{f.us_per_cycle:.1f}",
+                    f"{f.steps_per_cycle:.0f}",
+                    f"{self.floor_us(f):.1f}",
+                )
+                for f in self.nominal
+            ),
+            ("a call from Python adds", f"{self.call_us:.1f}", "", ""),
         )
         return Table(
-            "This kernel, nominal four-cylinder plant, one core, traces off", ("point", "us"), rows
+            "This kernel, nominal four-cylinder plant, one core, traces off; the floor is what "
+            "the chain of closed-form steps alone would take",
+            ("point", "us a cycle", "steps", "floor us"),
+            rows,
         )
 
     def _survey_table(self) -> Table:
@@ -288,6 +308,7 @@ def _figures(found: KernelFigures) -> dict[str, Any]:
     return {
         **_point(found.point),
         "us_per_cycle": found.us_per_cycle,
+        "steps_per_cycle": found.steps_per_cycle,
         "charge_error": found.charge_error,
         "loss_error": found.loss_error,
     }

@@ -9,6 +9,7 @@ from plant._checks import whole
 
 from ._scipy_peers import ScipySolveIvp
 from .comparison import compare
+from .floor import stage_time_ns
 from .goals import judge
 from .kernel_timing import survey_kernel, time_call, time_kernel
 from .peers import installed_peers
@@ -100,6 +101,7 @@ def run_bench(
     return BenchResult(
         nominal,
         call_us,
+        stage_time_ns(),
         survey,
         comparison,
         _reference_error(at_timed),

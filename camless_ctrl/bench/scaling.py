@@ -12,7 +12,7 @@ import numpy as np
 from plant import CrankAnglePlant, Engine, OperatingRegion
 from plant.batch import _usable_cores
 
-from .kernel_timing import kernel_timer, least_time_us
+from .kernel_timing import KernelTimer, least_time_us
 from .points import NOMINAL_COMMANDS, BenchPoint
 
 THREADS = (1, 2)
@@ -168,5 +168,5 @@ def measure_cylinders(repeats: int) -> CylinderScaling:
     times = []
     for n in CYLINDERS:
         point = BenchPoint(CYLINDER_SPEED_RPM, NOMINAL_COMMANDS[1], engine=Engine(n_cylinders=n))
-        times.append(least_time_us(kernel_timer(point.cycle()), repeats))
+        times.append(least_time_us(KernelTimer(point.cycle()).time, repeats))
     return CylinderScaling(CYLINDERS, tuple(times))

@@ -43,19 +43,16 @@ def local_error(
         scale = h * damped * work[i, PER_MASS] * (1.0 / TOLERANCE)
         defect = abs(E_0 * flow_0 + E_1 * work[i, FLOW + 1] + E_2 * flow_2 + E_3 * flow)
         turns = flow_0 * flow_2 < 0.0 or flow_0 * flow < 0.0
-        if work[i, OPEN] > 0.0 and (turns or abs(flow) < NEAR_REVERSAL * abs(flow_0)):
+        lift_1 = forcing[i, LANES * LIFT]
+        lift_2 = forcing[i, LANES * LIFT + 1]
+        lift_3 = forcing[i, LANES * LIFT + 2]
+        # It is about to turn if it falls, and not only since the valve shuts.
+        least = NEAR_REVERSAL * abs(flow_0)
+        shuts = work[i, OPEN] == 0.0 and abs(flow) * lift_2 >= least * lift_3
+        if turns or (abs(flow) < least and not shuts):
             defect = KINK * max(defect, REVERSAL * abs(flow_0))
             reverses = reverses or defect * scale > 1.0
-        elif turns:
-            defect *= KINK
-        if (
-            min(
-                forcing[i, LANES * LIFT + 0],
-                forcing[i, LANES * LIFT + 1],
-                forcing[i, LANES * LIFT + 2],
-            )
-            < -RESTING
-        ):
+        if min(lift_1, lift_2, lift_3) < -RESTING:
             defect *= KINK
         error = max(error, defect * scale)
         defect = E_0 * work[i, POWER] + E_1 * work[i, POWER + 1] + E_2 * work[i, POWER + 2]

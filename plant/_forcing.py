@@ -155,14 +155,17 @@ def start_lift(
         swing_re, swing_im = swing * math.cos(turned), swing * math.sin(turned)
         scale = engine.oscillation_amplitude * lift
         decades = math.log(engine.oscillation_amplitude / SWING_SHARE)
-        swings_until = decades / engine.oscillation_decay - since
+        if engine.oscillation_decay > 0.0:
+            swings_until = decades / engine.oscillation_decay - since
+        else:
+            swings_until = math.inf
     work[i, CONSTANT], work[i, SLOPE], work[i, EXPONENTIAL] = constant, slope, size
     work[i, RATE] = rate
     work[i, SWING_RE], work[i, SWING_IM], work[i, SCALE] = swing_re, swing_im, scale
     work[i, FOLDS_FROM], work[i, FOLDS_UNTIL] = folds_from, folds_until
     work[i, FOLD_STEP] = LONGEST_FOLD / abs(rate) if rate != 0.0 else math.inf
     work[i, SWINGS_UNTIL] = swings_until
-    work[i, OPEN] = 1.0 if phase <= RETREAT else 0.0
+    work[i, OPEN] = 1.0 if phase <= FALL else 0.0
 
 
 @compiled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from . import _layout as layout
+from ._segment import MOST_STEPS
 from .errors import SimulationError
 
 
@@ -18,6 +19,12 @@ def check_status(status: int, speed_rpm: float) -> None:
             f"a valve that opened at a lower speed is still open at the compression TDC at "
             f"{speed_rpm:g} rpm: a camless valve moves in time, so raise the speed in smaller "
             "steps or shorten duration_deg before it rises"
+        )
+    if status == layout.TOO_MANY_STEPS:
+        raise SimulationError(
+            f"more than {MOST_STEPS:g} steps within one form of a valve's motion at "
+            f"{speed_rpm:g} rpm: the crank is too slow, or the runner or actuator too fast, for "
+            "this plant (check speed_rpm, the frequencies of helmholtz and oscillation_period)"
         )
     if status == layout.NO_STAGE_SOLUTION:
         raise SimulationError(

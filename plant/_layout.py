@@ -92,5 +92,6 @@ TRACE_STRIDE = 4
 
 # Status of a window.
 OK, RUNNER_COLLAPSED, NO_STAGE_SOLUTION, OPEN_AT_COMPRESSION_TDC = 0, 1, 2, 3
+TOO_MANY_STEPS = 7  # 4 to 6: see `_periodic` and `_batch_kernel`
 
 SAME_TIME = 1e-11  # s, two cuts nearer than this are one

@@ -13,7 +13,15 @@ import numpy as np
 
 from ._compile import compiled
 from ._error import local_error
-from ._forcing import LONGEST_RING, LONGEST_SWING, force, longest_step, start_lift, turn_over
+from ._forcing import (
+    LARGEST_EXPONENT,
+    LONGEST_RING,
+    LONGEST_SWING,
+    force,
+    longest_step,
+    start_lift,
+    turn_over,
+)
 from ._layout import (
     DURATION,
     INFLOW,
@@ -22,6 +30,7 @@ from ._layout import (
     OK,
     STEPS,
     THROTTLE_FLOW,
+    TOO_MANY_STEPS,
     WORK,
     KernelEngine,
     Window,
@@ -34,6 +43,7 @@ from ._workspace import BASE, FLOW, LANES, PHASORS, POWER, SENSITIVITY, STAGE, S
 
 LONGEST_STEP_DEG = 10.0
 SHORTEST_STEP_DEG = 1e-6
+MOST_STEPS = 1e6  # of a segment: one takes about ten
 SAFETY = 0.8  # share of the step that is expected to have just the error allowed
 LARGEST_GROWTH = 2.5
 LEAST_REDUCTION, LARGEST_REDUCTION = 0.7, 0.1
@@ -81,11 +91,14 @@ def integrate_segment(
     shortest = SHORTEST_STEP_DEG / window.degree_rate / window.resolution
     if engine.runner_gain > 0.0:
         longest = min(longest, LONGEST_RING / window.pole_im)
+        longest = min(longest, -LARGEST_EXPONENT / window.pole_re)
     tau, step, tried = 0.0, first_step, 0.0
     while True:
         step = min(step, longest, longest_step(work, n_breathing, tau, swing_step))
         h = _divided(step, length - tau)
         tried += 1.0
+        if tried > MOST_STEPS:
+            return TOO_MANY_STEPS, sample, h
         implicit = GAMMA * h
         turn_over(engine, window, swing_rate, swing_decay, h, turns)
         net = work[m, POWER]
@@ -123,7 +136,7 @@ def integrate_segment(
             engine, cylinders, work, forcing, breathing, n_breathing, h, pressure_3, damping
         )
         error *= tighter
-        if error > 1.0 and h > shortest:
+        if not error <= 1.0 and h > shortest:  # NaN too
             # Over a reversal the error falls as the square of the step, else as its cube.
             factor = SAFETY * error ** (-0.5 if reverses else -1.0 / 3.0)
             step = max(min(factor, LEAST_REDUCTION), LARGEST_REDUCTION) * h

@@ -18,11 +18,11 @@ SWINGS_UNTIL = 14  # time in the segment until which the oscillation counts
 CORNERS = 15  # times of the valve's corners since IVO: columns 15 to 19
 COEFFICIENT = 20  # of the port flow, kg/s/mm
 PER_MASS = 21  # 1 over the mass that its errors are measured by, 1/kg
-OPEN = 22  # 1 while the area does not vanish, else 0
-START, BASE, STAGE = 23, 24, 25  # masses: at the start of the step, known, solved
-SENSITIVITY, FRESH_SENSITIVITY = 26, 27  # dM/dp_m of the last stage and of this one
-FLOW = 28  # at the nodes, columns 28 to 31: port flow; in the manifold's row, net flow into it
-POWER = 32  # likewise (p_exh - p_c) dV/dt; in the manifold's row, flow through the throttle
+START, BASE, STAGE = 22, 23, 24  # masses: at the start of the step, known, solved
+SENSITIVITY, FRESH_SENSITIVITY = 25, 26  # dM/dp_m of the last stage and of this one
+FLOW = 27  # at the nodes, columns 27 to 30: port flow; in the manifold's row, net flow into it
+POWER = 31  # likewise (p_exh - p_c) dV/dt; in the manifold's row, flow through the throttle
+OPEN = 35  # 1 while the area does not vanish within the segment, else 0
 SCRATCH_COLUMNS = 36
 
 # Forcing at the nodes of a step, in a row of its own for each breathing cylinder: the phasors,

@@ -39,6 +39,7 @@ STATUS_MEANINGS = (  # in the order of the kernel's status
     "not_periodic",
     "out_of_range",
     "infeasible_profile",
+    "too_many_steps",
 )
 
 

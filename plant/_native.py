@@ -12,6 +12,7 @@ import ctypes
 import hashlib
 import struct
 import threading
+import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
@@ -146,17 +147,29 @@ class Library:
         """Address of a function; None if it needs Numba."""
         with self._lock:
             if not self._is_loaded:
-                file = f"{self.name}-{_target_key()}.o"
-                code = _compile.read(file)
-                if code is None:
-                    code = self.object_code()
-                    _compile.store(file, code)
-                self._engine = _loaded(code) if code else None
+                try:
+                    self._engine = self._made()
+                except (AttributeError, RuntimeError) as error:  # of a llvmlite not known here
+                    warnings.warn(
+                        f"the compiled plant cannot be kept on disk with llvmlite "
+                        f"{version('llvmlite')} ({error}): each process compiles it anew",
+                        RuntimeWarning,
+                        stacklevel=2,
+                    )
                 self._is_loaded = True
             if self._engine is None:
                 return None
             address: int = self._engine.get_function_address(name)
             return address
+
+    def _made(self) -> Any:
+        """Load the machine code, compiled first if it is not on disk; None if it needs Numba."""
+        file = f"{self.name}-{_target_key()}.o"
+        code = _compile.read(file)
+        if code is None:
+            code = self.object_code()
+            _compile.store(file, code)
+        return _loaded(code) if code else None
 
     def object_code(self) -> bytes:
         """Compile; empty if the code needs more than the C library."""

@@ -25,6 +25,7 @@ from ._layout import (
     LOSS,
     MANIFOLD_MASS,
     MASS,
+    NO_STAGE_SOLUTION,
     OK,
     PHASE,
     SHUT,
@@ -134,6 +135,8 @@ def solve_periodic(
             continue
 
         change = _change(engine, tables, manifolds)
+        if not change < np.inf:
+            return Periodic(NO_STAGE_SOLUTION, windows, best, 0.0)
         idle += 1
         if change < SMALLER * least:
             least, idle = change, 0

@@ -299,16 +299,32 @@ class CrankAnglePlant:
         ParameterError
             If the state belongs to another plant.
         """
+        one_of("on_infeasible", on_infeasible, ("raise", "limit"))
+        self.check_state(state)
+        speed, throttle_deg, _ = self._operating_point(speed_rpm, throttle_deg)
+        return PlantRun(self, state, speed, throttle_deg, on_infeasible)
+
+    def check_state(self, state: PlantState) -> None:
+        """Check that a state belongs to this plant.
+
+        Raises
+        ------
+        ParameterError
+            If it does not.
+        """
         if not isinstance(state, PlantState):
             raise ParameterError(f"state is {state!r}, but must be a PlantState")
-        one_of("on_infeasible", on_infeasible, ("raise", "limit"))
         if state.plant != self.fingerprint:
             raise ParameterError(
                 f"the state belongs to plant {state.plant}, but this plant is "
                 f"{self.fingerprint}: use the engine and options that it was made with"
             )
-        speed, throttle_deg, _ = self._operating_point(speed_rpm, throttle_deg)
-        return PlantRun(self, state, speed, throttle_deg, on_infeasible)
+        n = self.engine.n_cylinders
+        if len(state.cylinders) != n:
+            raise ParameterError(
+                f"the state holds {len(state.cylinders)} cylinders, but this plant has {n}: it is "
+                "damaged, save the state again"
+            )
 
     # -- internals ---------------------------------------------------------------------------
 

@@ -48,6 +48,22 @@ class PlantRun:
         self.on_infeasible = on_infeasible
 
     @property
+    def state(self) -> PlantState:
+        """Where the run stands; another state of the same plant may be set.
+
+        Raises
+        ------
+        ParameterError
+            If a state that is set belongs to another plant.
+        """
+        return self._state
+
+    @state.setter
+    def state(self, state: PlantState) -> None:
+        self.plant.check_state(state)
+        self._state = state
+
+    @property
     def next_cylinder(self) -> int:
         """Cylinder (from 1) that opens in the next event window."""
         return self.state.event_index % self.plant.engine.n_cylinders + 1

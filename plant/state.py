@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ._layout import CYLINDER_COLUMNS, MANIFOLD_ENTRIES
+from ._layout import CAM, CYLINDER_COLUMNS, MANIFOLD_ENTRIES, PHASE
 from .errors import ParameterError
 from .kinematics import FloatArray
 from .parameters import Engine
@@ -58,6 +58,9 @@ class PlantState:
             array = np.array(getattr(self, name), dtype=float)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        fault = _fault(self.cylinders, self.manifold)
+        if fault:
+            raise ParameterError(f"the plant state {fault}")
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the state to a JSON file, exactly; the file appears whole or not at all."""
@@ -96,21 +99,34 @@ class PlantState:
                 manifold=np.array(content["manifold"], dtype=float),
                 plant=str(content["plant"]),
             )
-        except (KeyError, TypeError, json.JSONDecodeError) as error:
+        except ParameterError as error:
+            raise ParameterError(f"{path}: {error}") from error
+        except (KeyError, TypeError, ValueError) as error:
             raise ParameterError(f"{path} is not a plant state: {error!r}") from error
-        if not (np.all(np.isfinite(state.cylinders)) and np.all(np.isfinite(state.manifold))):
-            raise ParameterError(
-                f"{path} holds numbers that are not finite: it is damaged, save the state again"
-            )
-        if state.cylinders.shape[1:] != (CYLINDER_COLUMNS,) or state.manifold.shape != (
-            MANIFOLD_ENTRIES,
-        ):
-            raise ParameterError(
-                f"{path} holds tables of shape {state.cylinders.shape} and "
-                f"{state.manifold.shape}, but must hold (n, {CYLINDER_COLUMNS}) and "
-                f"({MANIFOLD_ENTRIES},): save the state again with this version"
-            )
         return state
+
+
+def _fault(cylinders: FloatArray, manifold: FloatArray) -> str:
+    """Say what makes tables unfit for the kernel, which relies on them; empty if nothing does."""
+    if cylinders.ndim != 2 or cylinders.shape[1] != CYLINDER_COLUMNS or not len(cylinders):
+        return (
+            f"holds a cylinder table of shape {cylinders.shape}, but must hold "
+            f"(n, {CYLINDER_COLUMNS}): save the state again with this version"
+        )
+    if manifold.shape != (MANIFOLD_ENTRIES,):
+        return (
+            f"holds a manifold vector of shape {manifold.shape}, but must hold "
+            f"({MANIFOLD_ENTRIES},): save the state again with this version"
+        )
+    if not (np.all(np.isfinite(cylinders)) and np.all(np.isfinite(manifold))):
+        return "holds numbers that are not finite: it is damaged, save the state again"
+    phases = cylinders[:, PHASE]
+    if not np.all(np.isin(phases, range(CAM + 1))):
+        return (
+            f"holds valve phases {phases.tolist()}, but they must be whole and from 0 to {CAM}: "
+            "it is damaged, save the state again"
+        )
+    return ""
 
 
 def write_text(path: Path, text: str) -> None:

@@ -111,8 +111,9 @@ class BenchResult:
             "(IVO, IVC, corners of the lift), restart at each, and are given the closed form where "
             "no cylinder breathes. The least of several interleaved timings counts. Errors are the "
             "largest over their points and cylinders, relative to the value itself or to 50 mg and "
-            "0.5 J; the kernel's are those of its own periodic cycles over the whole map. The kernel runs "
-            "many cycles in a call from Python, the others one; what a call adds is told apart.",
+            "0.5 J; the kernel's are those of its own periodic cycles over the whole map. The "
+            "kernel runs many cycles in a call from Python, the others one; what a call adds is "
+            "told apart.",
             *(f"{', '.join(names)}: {note}." for note, names in by_note.items()),
             *(f"{name}: {why}." for name, why in self.comparison.missing.items()),
         )

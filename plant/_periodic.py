@@ -41,7 +41,7 @@ NOT_PERIODIC = 4  # status: the most cycles are done
 
 # The choice of steps makes a window's result jump by about 1e-6 between neighbouring starts.
 APART = 1e-4  # least distance of the secant's two points, relative: the jumps do not tilt it
-JITTER = 5e-7  # change that those jumps alone may cause, at resolution 1
+JITTER = 1e-6  # change that those jumps alone may cause, at resolution 1
 JITTER_PATIENCE = 3  # extrapolations without a smaller change after which such a one is the end
 FORGIVEN = 1e-5  # change that may rise from one iteration to the next
 PATIENCE = 8  # extrapolations without a smaller change after which plain cycling goes on

@@ -158,7 +158,7 @@ class CrankAnglePlant:
             volume of ambient air, and their work to this share of its volume work. Equal
             cylinders are compared event by event, others cycle by cycle. The choice of steps
             jumps between neighbouring states, so changes that have stopped shrinking pass
-            below 5e-7 at resolution 1 (and as its inverse cube at others), or, should they
+            below 1e-6 at resolution 1 (and as its inverse cube at others), or, should they
             alternate for ever, below 5e-5; ``residual`` tells it.
 
         Raises

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plant._checks import in_range, whole
+from plant._lifting import lifted
 from plant.kinematics import FloatArray
 
 from .adaptation import AdaptationGains
@@ -241,18 +242,7 @@ def lift(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Matrices ``A, B, C, D`` of a single-input single-output system lifted over `n` samples."""
     A, B, C, D = (np.asarray(m, dtype=float) for m in (system.A, system.B, system.C, system.D))
-    powers = [np.linalg.matrix_power(A, k) for k in range(n + 1)]
-    lifted_D = np.zeros((n, n))
-    for i in range(n):
-        lifted_D[i, i] = D[0, 0]
-        for j in range(i):
-            lifted_D[i, j] = (C @ powers[i - j - 1] @ B)[0, 0]
-    return (
-        powers[n],
-        np.hstack([powers[n - 1 - j] @ B for j in range(n)]),
-        np.vstack([C @ powers[i] for i in range(n)]),
-        lifted_D,
-    )
+    return lifted([(A, B, C, D)] * n)
 
 
 def _adaptation_matrices(

@@ -10,30 +10,40 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ._engine_fields import engine_fields, replace_engine_fields
+    from .air_path import FlowShape, PulseResponse
+    from .boundary import BoundaryConditions
     from .crank_angle import CrankAnglePlant
     from .cycle import CompletedEvent, Cycle, EventResult
     from .errors import ConvergenceError, InfeasibleProfileError, ParameterError, SimulationError
     from .identification import identify
     from .identification_result import FreeParameter, IdentificationResult
     from .lag import first_order_lag
-    from .map_results import ChargeInverse, MapError, MapGradient
+    from .map_error import MapDerivativeError, MapErrorField
+    from .map_regions import MapRegions
+    from .map_results import BoundaryError, ChargeInverse, MapError, MapGradient, MapHessian
     from .mean_value import MeanValuePlant
+    from .mean_value_dynamics import DynamicOperatingPoint, MeanValueDynamics
     from .observations import ChargeObservation, Experiment, TraceObservation, charge_observation
     from .parameters import Engine, HelmholtzRunner, Throttle, Valvetrain
+    from .profile_plots import plot_valve_profiles
     from .published import PUBLISHED_CLAIMS, PUBLISHED_POINTS, published_point
+    from .pumping_comparison import PumpingComparison, PumpingSaving, compare_pumping
     from .region import OperatingPoint, OperatingRegion
     from .run import PlantRun
     from .sampling import CrankSampling, SensorSamples, TimeSampling
-    from .sensor_run import (
-        AirPathSamples,
-        DurationSamples,
-        SensorRun,
-        SensorSetRun,
-        SensorState,
-    )
+    from .sensor_run import AirPathSamples, DurationSamples, SensorRun, SensorSetRun, SensorState
     from .sensors import DurationSensor, MafSensor, MapSensor, Sensor, SensorSet
     from .state import PlantState
     from .sweep import SweepResult
+    from .throttled import (
+        ThrottledMapError,
+        ThrottledMeanValuePlant,
+        ThrottledRun,
+        ThrottleInverse,
+        ThrottlePoint,
+        ThrottleStep,
+        throttle_step,
+    )
     from .trace import Trace
     from .validation import ValidationReport, validate
     from .valve import ValveCommand
@@ -43,6 +53,8 @@ _HOME = {
     "PUBLISHED_CLAIMS": "published",
     "PUBLISHED_POINTS": "published",
     "AirPathSamples": "sensor_run",
+    "BoundaryConditions": "boundary",
+    "BoundaryError": "map_results",
     "ChargeInverse": "map_results",
     "ChargeObservation": "observations",
     "CompletedEvent": "cycle",
@@ -52,23 +64,33 @@ _HOME = {
     "Cycle": "cycle",
     "DurationSamples": "sensor_run",
     "DurationSensor": "sensors",
+    "DynamicOperatingPoint": "mean_value_dynamics",
     "Engine": "parameters",
     "EventResult": "cycle",
     "Experiment": "observations",
+    "FlowShape": "air_path",
     "FreeParameter": "identification_result",
     "HelmholtzRunner": "parameters",
     "IdentificationResult": "identification_result",
     "InfeasibleProfileError": "errors",
     "MafSensor": "sensors",
+    "MapDerivativeError": "map_error",
     "MapError": "map_results",
+    "MapErrorField": "map_error",
     "MapGradient": "map_results",
+    "MapHessian": "map_results",
+    "MapRegions": "map_regions",
     "MapSensor": "sensors",
+    "MeanValueDynamics": "mean_value_dynamics",
     "MeanValuePlant": "mean_value",
     "OperatingPoint": "region",
     "OperatingRegion": "region",
     "ParameterError": "errors",
     "PlantRun": "run",
     "PlantState": "state",
+    "PulseResponse": "air_path",
+    "PumpingComparison": "pumping_comparison",
+    "PumpingSaving": "pumping_comparison",
     "Sensor": "sensors",
     "SensorRun": "sensor_run",
     "SensorSamples": "sampling",
@@ -78,6 +100,12 @@ _HOME = {
     "SimulationError": "errors",
     "SweepResult": "sweep",
     "Throttle": "parameters",
+    "ThrottleInverse": "throttled",
+    "ThrottlePoint": "throttled",
+    "ThrottleStep": "throttled",
+    "ThrottledMapError": "throttled",
+    "ThrottledMeanValuePlant": "throttled",
+    "ThrottledRun": "throttled",
     "TimeSampling": "sampling",
     "Trace": "trace",
     "TraceObservation": "observations",
@@ -86,11 +114,14 @@ _HOME = {
     "ValveProfile": "valve_profile",
     "Valvetrain": "parameters",
     "charge_observation": "observations",
+    "compare_pumping": "pumping_comparison",
     "engine_fields": "_engine_fields",
     "first_order_lag": "lag",
     "identify": "identification",
+    "plot_valve_profiles": "profile_plots",
     "published_point": "published",
     "replace_engine_fields": "_engine_fields",
+    "throttle_step": "throttled",
     "validate": "validation",
 }
 
@@ -98,6 +129,8 @@ __all__ = [
     "PUBLISHED_CLAIMS",
     "PUBLISHED_POINTS",
     "AirPathSamples",
+    "BoundaryConditions",
+    "BoundaryError",
     "ChargeInverse",
     "ChargeObservation",
     "CompletedEvent",
@@ -107,23 +140,33 @@ __all__ = [
     "Cycle",
     "DurationSamples",
     "DurationSensor",
+    "DynamicOperatingPoint",
     "Engine",
     "EventResult",
     "Experiment",
+    "FlowShape",
     "FreeParameter",
     "HelmholtzRunner",
     "IdentificationResult",
     "InfeasibleProfileError",
     "MafSensor",
+    "MapDerivativeError",
     "MapError",
+    "MapErrorField",
     "MapGradient",
+    "MapHessian",
+    "MapRegions",
     "MapSensor",
+    "MeanValueDynamics",
     "MeanValuePlant",
     "OperatingPoint",
     "OperatingRegion",
     "ParameterError",
     "PlantRun",
     "PlantState",
+    "PulseResponse",
+    "PumpingComparison",
+    "PumpingSaving",
     "Sensor",
     "SensorRun",
     "SensorSamples",
@@ -133,6 +176,12 @@ __all__ = [
     "SimulationError",
     "SweepResult",
     "Throttle",
+    "ThrottleInverse",
+    "ThrottlePoint",
+    "ThrottleStep",
+    "ThrottledMapError",
+    "ThrottledMeanValuePlant",
+    "ThrottledRun",
     "TimeSampling",
     "Trace",
     "TraceObservation",
@@ -141,11 +190,14 @@ __all__ = [
     "ValveProfile",
     "Valvetrain",
     "charge_observation",
+    "compare_pumping",
     "engine_fields",
     "first_order_lag",
     "identify",
+    "plot_valve_profiles",
     "published_point",
     "replace_engine_fields",
+    "throttle_step",
     "validate",
 ]
 

@@ -1,51 +1,189 @@
-"""The mean-value maps as labelled data."""
+"""The mean-value maps as labelled data, on disk and back."""
 
 from __future__ import annotations
 
 import json
+import os
+import tempfile
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from ._boundary_correction import BoundaryCorrection
+from ._engine_fields import engine_fields, field_unit, get_field
+from .crank_angle import CrankAnglePlant
+from .errors import ParameterError
+from .map_results import BoundaryError
+from .parameters import Engine, HelmholtzRunner, Throttle, Valvetrain
+from .region import OperatingRegion
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from .mean_value import MeanValuePlant
 
+Maps = TypeVar("Maps", bound="MeanValuePlant")
+
+FORMAT = "camless-ctrl mean-value maps 1"
+_DIMS = ("speed", "lift", "share")
+_COARSE = ("coarse_speed", "coarse_lift", "coarse_share")
+_OPTIONS = ("runner", "oscillation", "orifice", "resolution")
+
 
 def to_dataset(maps: MeanValuePlant) -> xr.Dataset:
     """See `MeanValuePlant.to_dataset`."""
     import xarray as xr
 
-    dims = ("speed", "lift", "share")
     duration = maps.region.duration_deg(
         maps.lifts_mm[None, :, None], maps.shares, maps.speeds_rpm[:, None, None]
     )
+    variables: dict[str, Any] = {
+        "air_charge": (_DIMS, maps.charge, _attrs("kg", "air charge per event")),
+        "pumping_loss": (_DIMS, maps.loss, _attrs("J", "pumping loss per event")),
+    }
+    attrs: dict[str, Any] = {
+        "format": FORMAT,
+        **maps.provenance,
+        "longest_duration_deg": maps.region.longest_deg,
+        "engine": json.dumps(asdict(maps.engine), sort_keys=True),
+    }
+    b = maps.boundary
+    if b is not None:
+        power = (*_COARSE, "power")
+        variables["charge_change"] = (power, b.charge, _attrs("1", "change of charge"))
+        variables["loss_change"] = (power, b.loss, _attrs("1", "change of pumping loss"))
+        for name, nodes in zip(_COARSE, b.nodes, strict=True):
+            variables[f"{name}_node"] = (name, nodes, _attrs("1", "node of the changes"))
+        attrs["boundary_ranges"] = json.dumps(b.ranges)
+        attrs["boundary_error"] = json.dumps(asdict(b.error))
     return xr.Dataset(
-        {
-            "air_charge": (
-                dims,
-                maps.charge,
-                {"units": "kg", "long_name": "air charge per event"},
-            ),
-            "pumping_loss": (
-                dims,
-                maps.loss,
-                {"units": "J", "long_name": "pumping loss per event"},
-            ),
-        },
+        variables,
         coords={
-            "speed": ("speed", maps.speeds_rpm, {"units": "rpm"}),
-            "lift": ("lift", maps.lifts_mm, {"units": "mm"}),
+            "speed": ("speed", maps.speeds_rpm, _attrs("rpm", "engine speed")),
+            "lift": ("lift", maps.lifts_mm, _attrs("mm", "maximum valve lift")),
             "share": (
                 "share",
                 maps.shares,
-                {"units": "1", "long_name": "share from the shortest to the longest duration"},
+                _attrs("1", "share from the shortest to the longest duration"),
             ),
-            "duration": (dims, duration, {"units": "deg"}),
+            "duration": (_DIMS, duration, _attrs("deg", "duration")),
         },
-        attrs={
-            **maps.provenance,
-            "longest_duration_deg": maps.region.longest_deg,
-            "engine": json.dumps(asdict(maps.engine), sort_keys=True),
-        },
+        attrs=attrs,
     )
+
+
+def save(maps: MeanValuePlant, path: str | os.PathLike[str]) -> None:
+    """See `MeanValuePlant.save`."""
+    target = Path(path)
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    os.close(handle)
+    try:
+        to_dataset(maps).to_netcdf(temporary, engine="scipy")
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes private files
+        os.replace(temporary, target)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def load(
+    cls: type[Maps], path: str | os.PathLike[str], plant: CrankAnglePlant | Engine | None
+) -> Maps:
+    """See `MeanValuePlant.load`."""
+    import xarray as xr
+
+    with open(path, "rb"):
+        pass  # a file that cannot be read is told as such, whatever it holds
+    try:
+        data = xr.load_dataset(path, engine="scipy")
+        found = data.attrs["format"]
+        if found != FORMAT:
+            raise ParameterError(f"{path} has format {found!r}, not {FORMAT!r}")
+        maps = _maps(cls, data)
+    except ParameterError as error:
+        raise ParameterError(f"{path}: {error}") from error
+    except (KeyError, TypeError, ValueError, OSError, IndexError) as error:
+        raise ParameterError(
+            f"{path} does not hold mean-value maps ({error!r}): save them again"
+        ) from error
+    if plant is not None:
+        differences = _differences(maps, plant)
+        if differences:
+            raise ParameterError(
+                f"{path} holds maps of another plant: {'; '.join(differences)}. Fit maps to "
+                "this plant, or load them with the plant that they belong to"
+            )
+    return maps
+
+
+def _maps(cls: type[Maps], data: xr.Dataset) -> Maps:
+    attrs = dict(data.attrs)
+    engine = _engine(json.loads(attrs.pop("engine")))
+    speeds, lifts, shares = (data[name].values.astype(float) for name in _DIMS)
+    charge, loss = (data[name].values.astype(float) for name in ("air_charge", "pumping_loss"))
+    shape = (len(speeds), len(lifts), len(shares))
+    for name, values in (("air_charge", charge), ("pumping_loss", loss)):
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ParameterError(
+                f"{name} has shape {values.shape} and must have {shape}, all finite: the file is "
+                "damaged, save the maps again"
+            )
+    region = OperatingRegion(
+        lowest_speed_rpm=float(speeds[0]),
+        highest_speed_rpm=float(speeds[-1]),
+        lowest_lift_mm=float(lifts[0]),
+        highest_lift_mm=float(lifts[-1]),
+        longest_deg=float(attrs.pop("longest_duration_deg")),
+        valvetrain=engine.valvetrain,
+    )
+    boundary = None
+    if "boundary_ranges" in attrs:
+        first, second, third = (data[f"{name}_node"].values.astype(float) for name in _COARSE)
+        boundary = BoundaryCorrection(
+            engine,
+            (first, second, third),
+            data["charge_change"].values.astype(float),
+            data["loss_change"].values.astype(float),
+            tuple((low, high) for low, high in json.loads(attrs.pop("boundary_ranges"))),
+            BoundaryError(**json.loads(attrs.pop("boundary_error"))),
+        )
+    attrs.pop("format")
+    provenance = {k: v.item() if isinstance(v, np.generic) else v for k, v in attrs.items()}
+    return cls(engine, region, speeds, lifts, shares, charge, loss, provenance, boundary)
+
+
+def _engine(content: dict[str, Any]) -> Engine:
+    parts = {"valvetrain": Valvetrain, "helmholtz": HelmholtzRunner, "throttle": Throttle}
+    made = {name: part(**content.pop(name)) for name, part in parts.items()}
+    factors = tuple(content.pop("cylinder_flow_factors"))
+    return Engine(**content, **made, cylinder_flow_factors=factors)
+
+
+def _differences(maps: MeanValuePlant, plant: CrankAnglePlant | Engine) -> list[str]:
+    """What of a plant or engine differs from that of the maps."""
+    engine = plant if isinstance(plant, Engine) else plant.engine
+    if maps.engine.n_cylinders != engine.n_cylinders:
+        return [f"n_cylinders is {maps.engine.n_cylinders} in the file, {engine.n_cylinders} here"]
+    found = []
+    for name in engine_fields(engine):
+        theirs, ours = get_field(maps.engine, name), get_field(engine, name)
+        if theirs != ours:
+            unit = field_unit(name)
+            unit = "" if unit == "1" else f" {unit}"
+            found.append(f"{name} is {theirs:g}{unit} in the file, {ours:g}{unit} here")
+    if isinstance(plant, CrankAnglePlant):
+        for name in _OPTIONS:
+            given = getattr(plant, name)
+            stored = maps.provenance[name]
+            if str(stored) != str(given):
+                found.append(f"{name} is {stored} in the file, {given} here")
+        if plant.profile != "camless":
+            found.append(f"profile is camless in the file, {plant.profile} here")
+    return found
+
+
+def _attrs(units: str, long_name: str) -> dict[str, str]:
+    return {"units": units, "long_name": long_name}

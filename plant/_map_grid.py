@@ -1,82 +1,124 @@
-"""Grid of the mean-value maps: where their nodes lie, and where they come from."""
+"""Coordinates of the mean-value maps: the box in which their nodes lie, and the way there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._checks import whole
-from ._surface import DEGREE
-from .crank_angle import CrankAnglePlant
-from .errors import ParameterError
+from ._checks import in_range, whole
 from .kinematics import FloatArray
-from .parameters import Engine, HelmholtzRunner
+from .parameters import Engine
 from .region import OperatingRegion
+
+if TYPE_CHECKING:
+    from .crank_angle import CrankAnglePlant
 
 SPEED_RANGE_RPM = (750.0, 6000.0)  # section 5
 LIFT_RANGE_MM = (0.5, 8.0)
 LONGEST_DEG = 280.0
-POINTS = (9, 30)  # lifts and durations
+TOLERANCE = 5e-4
+MOST_POINTS = 60_000
+LEAST_POINTS = 512
 
 
-def default_speeds(helmholtz: HelmholtzRunner, lowest_rpm: float, highest_rpm: float) -> FloatArray:
-    """Speeds of a map's nodes in rpm: even in ``1/N`` between the runner's break points.
+@dataclass(frozen=True)
+class BoxCoordinates:
+    """Coordinates ``(-N_low/N, log(u_l), share)`` in which the region is a box.
 
-    The phase that the runner has gone through when the valve shuts is linear in ``1/N``. The
-    break points are nodes, since the maps have a kink there.
+    The phase that a runner goes through until the valve shuts is linear in the first one.
     """
-    breaks = (helmholtz.low_speed_rpm, helmholtz.high_speed_rpm)
-    edges = [lowest_rpm, *(b for b in breaks if lowest_rpm < b < highest_rpm), highest_rpm]
-    nodes = [lowest_rpm]
-    for low, high in pairwise(edges):
-        # Nodes per octave: the ringing of the runner is undamped at low speed only; above, its
-        # amplitude grows with the square of speed.
-        per_octave = 11.0 if high <= breaks[0] else 7.0 if high <= breaks[1] else 9.0
-        count = max(round(per_octave * np.log2(high / low)), 1)
-        nodes.extend(1.0 / np.linspace(1.0 / low, 1.0 / high, count + 1)[1:-1])
-        nodes.append(high)
-    return np.array(nodes)
+
+    region: OperatingRegion
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Lowest and highest value of each coordinate, (3, 2)."""
+        r = self.region
+        return np.array(
+            [
+                [-1.0, -r.lowest_speed_rpm / r.highest_speed_rpm],
+                np.log([r.lowest_lift_mm, r.highest_lift_mm]),
+                [0.0, 1.0],
+            ]
+        )
+
+    def of(self, lift: FloatArray, duration: FloatArray, speed: FloatArray) -> FloatArray:
+        """Coordinates of feasible points, (3, ...); rounding at the shortest duration aside."""
+        share = np.clip(self.region.share(lift, duration, speed).value, 0.0, 1.0)
+        return np.stack((self.slowness(speed), np.log(lift), share))
+
+    def slowness(self, speed: FloatArray) -> FloatArray:
+        """Coordinate of speed, rising."""
+        return -self.region.lowest_speed_rpm / speed
+
+    def speed_and_lift(
+        self, slowness: FloatArray, log_lift: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Speed in rpm and lift in mm at coordinates; those of the bounds are the region's."""
+        r = self.region
+        speed = np.clip(-r.lowest_speed_rpm / slowness, r.lowest_speed_rpm, r.highest_speed_rpm)
+        lift = np.clip(np.exp(log_lift), r.lowest_lift_mm, r.highest_lift_mm)
+        return speed, lift
+
+    def jacobian(self, lift: FloatArray, duration: FloatArray, speed: FloatArray) -> FloatArray:
+        """First derivatives (coordinate, variable, ...) by lift, duration and speed."""
+        share = self.region.share(lift, duration, speed)
+        result = np.zeros((3, 3, *np.shape(lift)))
+        result[0, 2] = -self.slowness(speed) / speed
+        result[1, 0] = 1.0 / lift
+        result[2] = share.by_lift, share.by_duration, share.by_speed
+        return result
+
+    def curvature(self, lift: FloatArray, duration: FloatArray, speed: FloatArray) -> FloatArray:
+        """Second derivatives (coordinate, variable, variable, ...)."""
+        share = self.region.share(lift, duration, speed)
+        result = np.zeros((3, 3, 3, *np.shape(lift)))
+        result[0, 2, 2] = 2.0 * self.slowness(speed) / speed**2
+        result[1, 0, 0] = -1.0 / lift**2
+        # s = (d - a)/(L - a), where the shortest duration a is bilinear in lift and speed
+        by_a = -(1.0 - share.value) * share.by_duration
+        slope = np.stack((share.by_lift / by_a, np.zeros_like(lift), share.by_speed / by_a))
+        result[2] = 2.0 * by_a * share.by_duration * slope[:, None] * slope[None, :]
+        for k in (0, 2):
+            mixed = share.by_duration**2 * slope[k]
+            result[2, k, 1] += mixed
+            result[2, 1, k] += mixed
+        bilinear = by_a * slope[0] / speed
+        result[2, 0, 2] += bilinear
+        result[2, 2, 0] += bilinear
+        return result
 
 
-def map_grid(
+def map_region(
     engine: Engine,
-    speeds_rpm: Sequence[float] | FloatArray | None,
-    points: tuple[int, int],
+    speed_range_rpm: tuple[float, float],
     lift_range_mm: tuple[float, float] | None,
     longest_deg: float,
-) -> tuple[OperatingRegion, FloatArray, FloatArray, FloatArray]:
-    """Region of a map and its nodes of speed, lift and share. Arguments as for a map's fit."""
-    valvetrain = engine.valvetrain
-    speeds = (
-        default_speeds(engine.helmholtz, *SPEED_RANGE_RPM)
-        if speeds_rpm is None
-        else np.array(speeds_rpm, dtype=float)
+) -> OperatingRegion:
+    """Region of a map. Arguments as for a map's fit."""
+    v = engine.valvetrain
+    lifts = lift_range_mm or (
+        max(LIFT_RANGE_MM[0], v.lowest_lift_mm),
+        min(LIFT_RANGE_MM[1], v.maximum_lift_mm),
     )
-    if speeds.ndim != 1 or len(speeds) <= DEGREE or not np.all(np.diff(speeds) > 0.0):
-        raise ParameterError(
-            f"speeds_rpm is {speeds.tolist()}, but must be at least {DEGREE + 1} rising values in "
-            "rpm, for a cubic spline"
-        )
-    n_lifts = whole("points[0]", points[0], DEGREE + 1, 1000)
-    n_shares = whole("points[1]", points[1], DEGREE + 1, 1000)
-    low, high = lift_range_mm or (
-        max(LIFT_RANGE_MM[0], valvetrain.lowest_lift_mm),
-        min(LIFT_RANGE_MM[1], valvetrain.maximum_lift_mm),
-    )
-    region = OperatingRegion(
-        lowest_speed_rpm=float(speeds[0]),
-        highest_speed_rpm=float(speeds[-1]),
-        lowest_lift_mm=float(low),
-        highest_lift_mm=float(high),
+    return OperatingRegion(
+        lowest_speed_rpm=float(speed_range_rpm[0]),
+        highest_speed_rpm=float(speed_range_rpm[1]),
+        lowest_lift_mm=float(lifts[0]),
+        highest_lift_mm=float(lifts[1]),
         longest_deg=float(longest_deg),
-        valvetrain=valvetrain,
+        valvetrain=v,
     )
-    lifts = np.geomspace(region.lowest_lift_mm, region.highest_lift_mm, n_lifts)
-    lifts[[0, -1]] = region.lowest_lift_mm, region.highest_lift_mm
-    shares = np.linspace(0.0, 1.0, n_shares)
-    return region, speeds, lifts, shares
+
+
+def check_refinement(tolerance: float, most_points: int) -> tuple[float, int]:
+    """Check what a refinement is asked for."""
+    return (
+        in_range("tolerance", tolerance, 0.0, 1.0, "1", open_low=True),
+        whole("most_points", most_points, LEAST_POINTS, 1_000_000),
+    )
 
 
 def provenance(plant: CrankAnglePlant) -> dict[str, str | float | int]:

@@ -1,14 +1,15 @@
-"""Smooth surface through values on a box: a tensor product of cubic splines (C2)."""
+"""Smooth surface over a box: a tensor product of cubic splines (C2)."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
+from ._shape import shape_preserving
 from .kinematics import FloatArray
 
 if TYPE_CHECKING:
@@ -35,48 +36,73 @@ class Rise(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Cubic spline in three coordinates that passes through all its nodes.
+    """Cubic spline in three coordinates (C2).
 
     Attributes
     ----------
-    nodes : tuple of 3 ndarray
-        Strictly rising nodes of each coordinate, at least 4.
-    values : ndarray (n1, n2, n3)
-        Values at the nodes.
+    knots : tuple of 3 ndarray
+        Knots in each coordinate, those at the ends four times.
+    coefficients : ndarray (n1, n2, n3, ...)
+        Coefficients; more than three axes make as many surfaces at once.
     """
 
-    nodes: tuple[FloatArray, FloatArray, FloatArray]
-    values: FloatArray
+    knots: tuple[FloatArray, FloatArray, FloatArray]
+    coefficients: FloatArray
+
+    @classmethod
+    def through(cls, nodes: tuple[FloatArray, FloatArray, FloatArray], values: FloatArray) -> Self:
+        """Return the spline through values at strictly rising nodes, at least 4 a coordinate.
+
+        The third derivative is continuous at the second and the last but one node.
+        """
+        from scipy.interpolate import make_interp_spline
+
+        coefficients, knots = values, list[FloatArray]()
+        for axis, x in enumerate(nodes):
+            line = make_interp_spline(x, np.moveaxis(coefficients, axis, 0), k=DEGREE)
+            coefficients = np.moveaxis(line.c, 0, axis)
+            knots.append(line.t)
+        return cls((knots[0], knots[1], knots[2]), np.ascontiguousarray(coefficients))
+
+    @classmethod
+    def shaped(cls, nodes: tuple[FloatArray, FloatArray, FloatArray], values: FloatArray) -> Self:
+        """Return the spline near the values that has their shape, see `_shape`."""
+        exact = cls.through(nodes, values)
+        return cls(exact.knots, shape_preserving(exact.coefficients, exact.knots, nodes, values))
 
     @cached_property
     def spline(self) -> NdBSpline:
-        """The spline: knots, coefficients and degree (not-a-knot at the ends)."""
-        from scipy.interpolate import NdBSpline, make_interp_spline
+        """The spline as SciPy's."""
+        from scipy.interpolate import NdBSpline
 
-        coefficients, knots = self.values, list[FloatArray]()
-        # make_interp_spline puts the axis it worked on first: after the last, middle and first
-        # axis, each taken from the end, all are in order again.
-        for nodes in reversed(self.nodes):
-            line = make_interp_spline(nodes, coefficients, k=DEGREE, axis=2)
-            coefficients = line.c
-            knots.insert(0, line.t)
-        return NdBSpline(tuple(knots), coefficients, DEGREE)
+        return NdBSpline(self.knots, self.coefficients, DEGREE)
 
-    def __call__(self, *x: FloatArray, by: int | None = None) -> FloatArray:
-        """Value, or first derivative by coordinate `by` (0, 1, 2), at points of one shape."""
+    def __call__(self, *x: FloatArray, order: tuple[int, int, int] = (0, 0, 0)) -> FloatArray:
+        """Value, or derivative of an order in each coordinate, at points of one shape."""
         points = np.stack(x, axis=-1)
-        nu = None if by is None else [int(k == by) for k in range(3)]
-        return np.asarray(self.spline(points, nu=nu), dtype=float)
+        return np.asarray(self.spline(points, nu=list(order)), dtype=float)
 
     def lines(self, first: FloatArray, second: FloatArray) -> Lines:
         """Curves along the third coordinate at `p` points of the first and second."""
         from scipy.interpolate import BSpline
 
-        t1, t2, t3 = self.spline.t
-        rows1 = BSpline.design_matrix(first, t1, DEGREE).toarray()
-        rows2 = BSpline.design_matrix(second, t2, DEGREE).toarray()
-        rows = np.einsum("pi,pj,ijk->pk", rows1, rows2, self.spline.c, optimize=True)
+        t1, t2, t3 = self.knots
+        rows1 = BSpline.design_matrix(first, t1, DEGREE)
+        rows2 = BSpline.design_matrix(second, t2, DEGREE)
+        rows = _contracted(rows1, rows2, self.coefficients)
         return Lines(t3, rows, DEGREE)
+
+
+def _contracted(first: csr_array, second: csr_array, coefficients: FloatArray) -> FloatArray:
+    """Sum of coefficients weighed by the four weights in a row of each matrix, (p, n3)."""
+    width = DEGREE + 1
+    i, j = (m.indices.reshape(-1, width) for m in (first, second))
+    a, b = (m.data.reshape(-1, width) for m in (first, second))
+    total = np.zeros((len(i), coefficients.shape[2]))
+    for k in range(width):
+        for m in range(width):
+            total += (a[:, k] * b[:, m])[:, None] * coefficients[i[:, k], j[:, m]]
+    return total
 
 
 @dataclass(frozen=True, eq=False)

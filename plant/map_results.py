@@ -1,8 +1,9 @@
-"""Results of the mean-value plant: gradient, inverse, error against the full plant."""
+"""Results of the mean-value plant: derivatives, inverse, errors against the full plant."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -27,6 +28,26 @@ class MapGradient:
     lift: FloatArray
     duration: FloatArray
     speed: FloatArray
+
+
+@dataclass(frozen=True)
+class MapHessian:
+    """Second derivatives of a map; units are the map's per those of the two variables.
+
+    Attributes
+    ----------
+    lift_lift, duration_duration, speed_speed : ndarray
+        Twice by the same variable.
+    lift_duration, lift_speed, duration_speed : ndarray
+        By two variables.
+    """
+
+    lift_lift: FloatArray
+    duration_duration: FloatArray
+    speed_speed: FloatArray
+    lift_duration: FloatArray
+    lift_speed: FloatArray
+    duration_speed: FloatArray
 
 
 @dataclass(frozen=True)
@@ -107,4 +128,46 @@ class MapError:
             f"{100 * self.charge_max:.2f} % at worst (at {self.worst_charge}); loss "
             f"{100 * self.loss_rms:.3f} % rms and {100 * self.loss_max:.2f} % at worst (at "
             f"{self.worst_loss})."
+        )
+
+
+@dataclass(frozen=True)
+class BoundaryError:
+    """Error of the maps at random boundary conditions and operating points.
+
+    Relative to the largest charge and loss at the point's speed and the engine's own
+    conditions, carried over with pressure and temperature.
+
+    Attributes
+    ----------
+    charge_rms, charge_max, loss_rms, loss_max : float
+        Relative errors, 1.
+    worst_charge, worst_loss : str
+        Where the largest ones are.
+    points, seed : int
+        Number of points, and the seed that drew them.
+    """
+
+    charge_rms: float
+    charge_max: float
+    loss_rms: float
+    loss_max: float
+    worst_charge: str
+    worst_loss: str
+    points: int
+    seed: int
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return the error of what has not been measured."""
+        nan = float("nan")
+        return cls(nan, nan, nan, nan, "", "", 0, 0)
+
+    def __str__(self) -> str:
+        """Return the errors in a sentence."""
+        return (
+            f"At {self.points} random operating points and boundary conditions: charge "
+            f"{100 * self.charge_rms:.2f} % rms and {100 * self.charge_max:.2f} % at worst (at "
+            f"{self.worst_charge}); loss {100 * self.loss_rms:.2f} % rms and "
+            f"{100 * self.loss_max:.2f} % at worst (at {self.worst_loss})."
         )

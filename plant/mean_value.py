@@ -7,28 +7,49 @@ region (`OperatingRegion`) and nothing else: outside they refuse, or give NaN on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._map_grid import LONGEST_DEG, POINTS, map_grid, provenance
+from ._boundary_correction import RANGES, BoundaryCorrection, units_of_air
+from ._map_grid import (
+    LONGEST_DEG,
+    MOST_POINTS,
+    SPEED_RANGE_RPM,
+    TOLERANCE,
+    BoxCoordinates,
+    check_refinement,
+    map_region,
+    provenance,
+)
+from ._map_refinement import refined_grid
 from ._map_regions import SATURATION_SHARE, duration_for_charge, lift_saturation
 from ._surface import Lines, Surface
+from .boundary import BoundaryConditions
 from .crank_angle import CrankAnglePlant
 from .errors import ParameterError
 from .kinematics import FloatArray
-from .map_results import ChargeInverse, MapError, MapGradient
+from .map_results import ChargeInverse, MapError, MapGradient, MapHessian
 from .parameters import Engine
-from .region import OperatingPoint, OperatingRegion, Outside, check_outside
+from .region import OperatingRegion, Outside, check_outside
 from .sweep import Progress, sweep
 
 if TYPE_CHECKING:
+    import os
+
+    import casadi
     import xarray as xr
     from matplotlib.axes import Axes
+
+    from ._map_plots import Kind, Quantity
+    from .map_error import MapDerivativeError, MapErrorField
+    from .map_regions import MapRegions
+    from .mean_value_dynamics import MeanValueDynamics
+
+_VARIABLES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +76,17 @@ class MeanValuePlant:
         Pumping loss at the nodes, J per event.
     provenance : dict
         Fingerprint and options of the full plant, version of the package, opening and throttle
-        angle.
+        angle, how the nodes were chosen.
+    boundary : BoundaryCorrection, optional
+        What other boundary conditions do; see `with_boundary_conditions`.
 
     Notes
     -----
-    Cubic splines (C2) in ``1/speed``, the logarithm of lift, and the share. The maps pass
-    through every node. At the runner's break points (1500 and 3000 rpm) the full plant has a
-    kink in speed, which the spline rounds.
+    Cubic splines (C2) in ``1/speed``, the logarithm of lift, and the share. Their coefficients
+    step with the values at the nodes and not against them, so that the surface has no rise or
+    fall that these do not have; for that it leaves the nodes by `shape_adjustment` at most. At
+    the runner's break points (1500 and 3000 rpm) the full plant has a kink in speed, which the
+    spline rounds.
     """
 
     engine: Engine
@@ -72,33 +97,120 @@ class MeanValuePlant:
     charge: FloatArray
     loss: FloatArray
     provenance: dict[str, str | float | int]
+    boundary: BoundaryCorrection | None = None
 
     @classmethod
     def fit(
         cls,
         plant: CrankAnglePlant | None = None,
         *,
-        speeds_rpm: Sequence[float] | FloatArray | None = None,
-        points: tuple[int, int] = POINTS,
+        speed_range_rpm: tuple[float, float] = SPEED_RANGE_RPM,
         lift_range_mm: tuple[float, float] | None = None,
         longest_deg: float = LONGEST_DEG,
+        tolerance: float = TOLERANCE,
+        most_points: int = MOST_POINTS,
         threads: int = 2,
         progress: Progress | None = None,
     ) -> Self:
         """Build the maps from steady cycles of the full plant.
 
+        The nodes are chosen where the plant curves, until the maps meet the tolerance between
+        them or `most_points` are used.
+
         Parameters
         ----------
         plant : CrankAnglePlant, optional
             Camless full plant; the paper's by default.
-        speeds_rpm : sequence of float, optional
-            Nodes of speed, rising, at least 4; `default_speeds` of 750 to 6000 rpm by default.
-        points : tuple of 2 int
-            Number of lifts and of durations, at least 4 each.
+        speed_range_rpm : tuple of 2 float
+            Lowest and highest speed.
         lift_range_mm : tuple of 2 float, optional
             Lowest and highest lift; 0.5 to 8 mm within the valvetrain's limits by default.
         longest_deg : float
             Longest duration.
+        tolerance : float
+            Error to aim at between the nodes along each coordinate, relative to the largest
+            charge at a speed; twice that for loss.
+        most_points : int
+            Most nodes.
+        threads : int
+            Threads to simulate on.
+        progress : callable, optional
+            Called with the number of cycles done and the number in all as far as known.
+
+        Raises
+        ------
+        ParameterError
+            For a cam-driven plant, and for ranges that are empty or not feasible.
+        """
+        plant = CrankAnglePlant() if plant is None else plant
+        if plant.profile != "camless":
+            raise ParameterError(
+                f"the plant's profile is {plant.profile!r}, but must be 'camless': a cam leaves "
+                "no lift and duration to choose"
+            )
+        tolerance, most_points = check_refinement(tolerance, most_points)
+        region = map_region(plant.engine, speed_range_rpm, lift_range_mm, longest_deg)
+        box = BoxCoordinates(region)
+        done = 0
+
+        def simulate(*x: FloatArray) -> tuple[FloatArray, FloatArray]:
+            nonlocal done
+            before = done
+
+            def tell(k: int, count: int) -> None:
+                if progress is not None:
+                    progress(before + k, before + count)
+
+            speed, lift = box.speed_and_lift(x[0], x[1])
+            duration = region.duration_deg(lift, x[2], speed)
+            values = sweep(plant, speed, lift, duration, threads=threads, progress=tell)
+            done += values.air_charge.size
+            return values.air_charge, values.pumping_loss
+
+        helmholtz = plant.engine.helmholtz
+        breaks = np.array([helmholtz.low_speed_rpm, helmholtz.high_speed_rpm])
+        kinks = box.slowness(breaks).tolist() if plant.runner else []
+        grid = refined_grid(simulate, box.bounds, tolerance, most_points, kinks)
+        speeds, lifts = box.speed_and_lift(grid.nodes[0], grid.nodes[1])
+        return cls(
+            plant.engine,
+            region,
+            speeds,
+            lifts,
+            grid.nodes[2],
+            grid.charge,
+            grid.loss,
+            {
+                **provenance(plant),
+                "tolerance": tolerance,
+                "most_points": most_points,
+                "error_between_nodes": max(grid.error),
+                "cycles_simulated": grid.simulated,
+            },
+        )
+
+    def with_boundary_conditions(
+        self,
+        plant: CrankAnglePlant,
+        *,
+        ambient_pressure: tuple[float, float] = RANGES[0],
+        temperature: tuple[float, float] = RANGES[1],
+        exhaust_pressure: tuple[float, float] = RANGES[2],
+        samples: int = 1000,
+        seed: int = 0,
+        threads: int = 2,
+        progress: Progress | None = None,
+    ) -> Self:
+        """Return the maps with what other boundary conditions do to them.
+
+        Parameters
+        ----------
+        plant : CrankAnglePlant
+            The full plant that was fitted.
+        ambient_pressure, temperature, exhaust_pressure : tuple of 2 float
+            Range to cover of each, Pa, K and Pa.
+        samples, seed : int
+            Random points at which the error is measured, and the seed that draws them.
         threads : int
             Threads to simulate on.
         progress : callable, optional
@@ -107,30 +219,27 @@ class MeanValuePlant:
         Raises
         ------
         ParameterError
-            For a cam-driven plant, and for grids that are too small or not feasible.
+            If the plant is another one, or a range is empty or leaves out the engine's own.
         """
-        plant = CrankAnglePlant() if plant is None else plant
-        if plant.profile != "camless":
-            raise ParameterError(
-                f"the plant's profile is {plant.profile!r}, but must be 'camless': a cam leaves "
-                "no lift and duration to choose"
-            )
-        region, speeds, lifts, shares = map_grid(
-            plant.engine, speeds_rpm, points, lift_range_mm, longest_deg
-        )
-        speed, lift, share = np.meshgrid(speeds, lifts, shares, indexing="ij")
-        duration = region.duration_deg(lift, share, speed)
-        values = sweep(plant, speed, lift, duration, threads=threads, progress=progress)
-        return cls(
-            plant.engine,
-            region,
-            speeds,
-            lifts,
-            shares,
-            values.air_charge,
-            values.pumping_loss,
-            provenance(plant),
-        )
+        from ._boundary_fit import with_boundary_conditions
+
+        ranges = (ambient_pressure, temperature, exhaust_pressure)
+        return with_boundary_conditions(self, plant, ranges, samples, seed, threads, progress)
+
+    def at(self, conditions: BoundaryConditions) -> Self:
+        """Return the maps at other boundary conditions (numbers, not arrays).
+
+        They serve for everything that these serve for: inverse, regions, derivatives, dynamics.
+
+        Raises
+        ------
+        ParameterError
+            If the maps were not fitted for them (see `with_boundary_conditions`), or do not
+            cover them.
+        """
+        from ._boundary_fit import at
+
+        return at(self, conditions)
 
     # -- evaluation --------------------------------------------------------------------------
 
@@ -140,6 +249,7 @@ class MeanValuePlant:
         duration_deg: ArrayLike,
         speed_rpm: ArrayLike,
         *,
+        conditions: BoundaryConditions | None = None,
         outside: Outside = "raise",
     ) -> FloatArray:
         """Air charge ``F_m`` in kg per event (Eq. 18).
@@ -148,15 +258,19 @@ class MeanValuePlant:
         ----------
         lift_mm, duration_deg, speed_rpm : array_like
             Operating points.
+        conditions : BoundaryConditions, optional
+            Boundary conditions that broadcast with the points; the engine's own by default.
         outside : {"raise", "nan"}
             What to do outside the feasible region.
 
         Raises
         ------
         ParameterError, InfeasibleProfileError
-            For a point outside the region, naming value and limit.
+            For a point outside the region, naming value and limit, and for conditions that are
+            not covered.
         """
-        return self._evaluate(self._charge, lift_mm, duration_deg, speed_rpm, outside)
+        point = self._inside(lift_mm, duration_deg, speed_rpm, outside)
+        return self._evaluate("charge", *point, conditions)
 
     def pumping_loss(
         self,
@@ -164,10 +278,12 @@ class MeanValuePlant:
         duration_deg: ArrayLike,
         speed_rpm: ArrayLike,
         *,
+        conditions: BoundaryConditions | None = None,
         outside: Outside = "raise",
     ) -> FloatArray:
         """Pumping loss ``F_e`` in J per event (Eq. 18). Arguments as for `air_charge`."""
-        return self._evaluate(self._loss, lift_mm, duration_deg, speed_rpm, outside)
+        point = self._inside(lift_mm, duration_deg, speed_rpm, outside)
+        return self._evaluate("loss", *point, conditions)
 
     def charge_gradient(
         self,
@@ -190,6 +306,59 @@ class MeanValuePlant:
     ) -> MapGradient:
         """Derivatives of the pumping loss, exact for the spline. Arguments as for `air_charge`."""
         return self._gradient(self._loss, lift_mm, duration_deg, speed_rpm, outside)
+
+    def charge_hessian(
+        self,
+        lift_mm: ArrayLike,
+        duration_deg: ArrayLike,
+        speed_rpm: ArrayLike,
+        *,
+        outside: Outside = "raise",
+    ) -> MapHessian:
+        """Second derivatives of the air charge, exact for the spline."""
+        return self._hessian(self._charge, lift_mm, duration_deg, speed_rpm, outside)
+
+    def loss_hessian(
+        self,
+        lift_mm: ArrayLike,
+        duration_deg: ArrayLike,
+        speed_rpm: ArrayLike,
+        *,
+        outside: Outside = "raise",
+    ) -> MapHessian:
+        """Second derivatives of the pumping loss, exact for the spline."""
+        return self._hessian(self._loss, lift_mm, duration_deg, speed_rpm, outside)
+
+    def casadi_function(
+        self,
+        *,
+        coordinates: Literal["duration", "share"] = "duration",
+        boundary_conditions: bool = False,
+        outside: Literal["nan", "hold"] = "nan",
+    ) -> casadi.Function:
+        """Return the maps as a CasADi function with exact derivatives of any order.
+
+        Parameters
+        ----------
+        coordinates : {"duration", "share"}
+            Whether the second input is ``duration_deg`` or ``share``, the share of the way from
+            the shortest to the longest duration. With shares the feasible region is a box, as
+            solvers like it; an output ``duration_deg`` is then added.
+        boundary_conditions : bool
+            Whether ``ambient_pressure``, ``temperature`` and ``exhaust_pressure`` are inputs too.
+        outside : {"nan", "hold"}
+            What to return outside the region: NaN, or the value at its border. Holding suits
+            solvers that step outside on their way; an output ``inside`` tells in both cases.
+
+        Returns
+        -------
+        casadi.Function
+            Inputs ``lift_mm``, ``duration_deg`` (or ``share``), ``speed_rpm``, outputs
+            ``air_charge`` (kg), ``pumping_loss`` (J), ``inside`` (1 or 0); scalars.
+        """
+        from ._map_casadi import map_function
+
+        return map_function(self, coordinates, boundary_conditions, outside)
 
     # -- inverse and regions -----------------------------------------------------------------
 
@@ -226,7 +395,7 @@ class MeanValuePlant:
         self,
         speed_rpm: ArrayLike,
         *,
-        duration_deg: float | None = 180.0,
+        duration_deg: ArrayLike | None = 180.0,
         share: float = SATURATION_SHARE,
     ) -> FloatArray:
         """Lift in mm from which on the charge is nearly that of the highest lift (section 5).
@@ -235,12 +404,35 @@ class MeanValuePlant:
         ----------
         speed_rpm : array_like
             Speeds.
-        duration_deg : float or None
+        duration_deg : array_like or None
             Duration to compare at; None takes, at each lift, the one of the largest charge.
+            NaN is returned where the highest lift cannot be driven, or takes in no charge.
         share : float
             Share of the charge at the highest lift that counts as nearly.
         """
         return lift_saturation(self, speed_rpm, duration_deg, share)
+
+    def regions(
+        self,
+        speeds_rpm: ArrayLike | None = None,
+        *,
+        lift_mm: ArrayLike | None = None,
+        duration_deg: ArrayLike = 180.0,
+    ) -> MapRegions:
+        """Return lift saturation, flow reversal and feasibility limit against speed (section 5).
+
+        Parameters
+        ----------
+        speeds_rpm : array_like, optional
+            Speeds; every 50 rpm by default.
+        lift_mm : array_like, optional
+            Lifts at which flow reversal and shortest duration are told.
+        duration_deg : array_like
+            Durations at which lift saturation and highest lift are told.
+        """
+        from .map_regions import map_regions
+
+        return map_regions(self, speeds_rpm, lift_mm=lift_mm, duration_deg=duration_deg)
 
     def largest_charge(self, speed_rpm: ArrayLike) -> FloatArray:
         """Largest charge at a speed over all lifts and durations, kg per event."""
@@ -278,25 +470,76 @@ class MeanValuePlant:
         MapError
             Map less plant, relative to the largest charge and loss at the point's speed.
         """
-        lift, duration, speed = self.region.sample(samples, seed)
-        truth = sweep(plant, speed, lift, duration, threads=threads, progress=progress)
-        charge = self.air_charge(lift, duration, speed) - truth.air_charge
-        loss = self.pumping_loss(lift, duration, speed) - truth.pumping_loss
-        charge = charge / self.largest_charge(speed)
-        loss = loss / self._largest_loss(speed)
-        worst = [int(np.argmax(np.abs(error))) for error in (charge, loss)]
-        points = [OperatingPoint(speed[k], lift[k], duration[k]) for k in worst]
-        return MapError(
-            charge_rms=float(np.sqrt(np.mean(charge**2))),
-            charge_max=float(np.abs(charge[worst[0]])),
-            loss_rms=float(np.sqrt(np.mean(loss**2))),
-            loss_max=float(np.abs(loss[worst[1]])),
-            worst_charge=points[0],
-            worst_loss=points[1],
-            points=samples,
-            seed=seed,
-            same_plant=plant.fingerprint == self.provenance["plant_fingerprint"],
+        from .map_error import error_against
+
+        return error_against(self, plant, samples, seed, threads, progress)
+
+    def error_field(
+        self,
+        plant: CrankAnglePlant,
+        *,
+        bins: tuple[int, int, int] = (14, 8, 12),
+        per_bin: int = 6,
+        seed: int = 1,
+        threads: int = 2,
+        progress: Progress | None = None,
+    ) -> MapErrorField:
+        """Measure the error of the maps everywhere: largest and rms error bin by bin.
+
+        Parameters
+        ----------
+        plant : CrankAnglePlant
+            Full plant.
+        bins : tuple of 3 int
+            Bins of speed, lift and share.
+        per_bin, seed : int
+            Random points in each bin, and the seed that draws them.
+        """
+        from .map_error import error_field
+
+        return error_field(self, plant, bins, per_bin, seed, threads, progress)
+
+    def derivative_error_against(
+        self,
+        plant: CrankAnglePlant,
+        *,
+        samples: int = 300,
+        seed: int = 0,
+        threads: int = 2,
+        progress: Progress | None = None,
+    ) -> MapDerivativeError:
+        """Compare first and second derivatives with finite differences of a full plant.
+
+        Parameters
+        ----------
+        plant : CrankAnglePlant
+            Full plant; it is simulated at a resolution of 32, so that the choice of steps does
+            not disturb the differences.
+        samples, seed : int
+            Number of points, and the seed that draws them.
+        """
+        from .map_error import derivative_error_against
+
+        return derivative_error_against(self, plant, samples, seed, threads, progress)
+
+    @property
+    def shape_adjustment(self) -> tuple[float, float]:
+        """Largest distance of the charge and loss maps from a node, relative to the largest value.
+
+        It is the price of the surface's shape, see the class's notes.
+        """
+        speed, lift, share = np.meshgrid(*self._nodes, indexing="ij")
+        charge, loss = (
+            float(np.abs(surface(speed, lift, share) - values).max() / np.abs(values).max())
+            for surface, values in ((self._charge, self.charge), (self._loss, self.loss))
         )
+        return charge, loss
+
+    def dynamics(self, **options: object) -> MeanValueDynamics:
+        """Return the plant for design with its dynamics; options as for `MeanValueDynamics`."""
+        from .mean_value_dynamics import MeanValueDynamics
+
+        return MeanValueDynamics(self, **options)  # type: ignore[arg-type]
 
     def to_dataset(self) -> xr.Dataset:
         """Return the nodes as an `xarray.Dataset` with units and provenance."""
@@ -304,17 +547,65 @@ class MeanValuePlant:
 
         return to_dataset(self)
 
-    def plot_charge(self, speed_rpm: float, ax: Axes | None = None) -> Axes:
-        """Draw contours of the air charge over duration and lift (Figure 9); return the axes."""
-        from ._map_plots import contours
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the maps to a netCDF file; it appears whole or not at all.
 
-        return contours(self, "charge", speed_rpm, ax)
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        from ._map_data import save
 
-    def plot_loss(self, speed_rpm: float, ax: Axes | None = None) -> Axes:
-        """Draw contours of the pumping loss over duration and lift (Figure 10)."""
-        from ._map_plots import contours
+        save(self, path)
 
-        return contours(self, "loss", speed_rpm, ax)
+    @classmethod
+    def load(
+        cls, path: str | os.PathLike[str], plant: CrankAnglePlant | Engine | None = None
+    ) -> Self:
+        """Read maps that `save` wrote.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        plant : CrankAnglePlant or Engine, optional
+            The plant or engine that they must belong to; any by default.
+
+        Raises
+        ------
+        ParameterError
+            If the file holds no maps, or maps of another plant; the differences are named.
+        OSError
+            If it cannot be read.
+        """
+        from ._map_data import load
+
+        return load(cls, path, plant)
+
+    def plot_charge(self, speed_rpm: float, ax: Axes | None = None, kind: Kind = "contour") -> Axes:
+        """Draw the air charge over duration and lift (Figure 9); return the axes.
+
+        Parameters
+        ----------
+        speed_rpm : float
+            Speed.
+        ax : Axes, optional
+            Where to draw; must be three-dimensional for a surface.
+        kind : {"contour", "surface"}
+            Contours with the regions of section 5, or a surface in 3-D.
+        """
+        return self._plot("charge", speed_rpm, ax, kind)
+
+    def plot_loss(self, speed_rpm: float, ax: Axes | None = None, kind: Kind = "contour") -> Axes:
+        """Draw the pumping loss over duration and lift (Figure 10), as `plot_charge`."""
+        return self._plot("loss", speed_rpm, ax, kind)
+
+    def plot_specific_loss(
+        self, speed_rpm: float, ax: Axes | None = None, kind: Kind = "contour"
+    ) -> Axes:
+        """Draw the pumping loss per charge over duration and lift, as `plot_charge`."""
+        return self._plot("specific", speed_rpm, ax, kind)
 
     def __str__(self) -> str:
         """Return what the maps cover and come from."""
@@ -332,34 +623,64 @@ class MeanValuePlant:
 
     # -- internals ---------------------------------------------------------------------------
 
+    def _plot(self, quantity: Quantity, speed_rpm: float, ax: Axes | None, kind: Kind) -> Axes:
+        from ._map_plots import draw
+
+        return draw(self, quantity, speed_rpm, ax, kind)
+
+    @cached_property
+    def box(self) -> BoxCoordinates:
+        """Coordinates of the splines."""
+        return BoxCoordinates(self.region)
+
     @cached_property
     def _charge(self) -> Surface:
-        return Surface(self._nodes, self.charge)
+        return Surface.shaped(self._nodes, self.charge)
 
     @cached_property
     def _loss(self) -> Surface:
-        return Surface(self._nodes, self.loss)
+        return Surface.shaped(self._nodes, self.loss)
 
     @property
     def _nodes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self._slowness(self.speeds_rpm), np.log(self.lifts_mm), self.shares
-
-    def _slowness(self, speed_rpm: FloatArray) -> FloatArray:
-        """Coordinate of speed, rising: ``-N_low/N``, 1."""
-        return -self.region.lowest_speed_rpm / speed_rpm
+        return self.box.slowness(self.speeds_rpm), np.log(self.lifts_mm), self.shares
 
     def _evaluate(
         self,
-        surface: Surface,
-        lift_mm: ArrayLike,
-        duration_deg: ArrayLike,
-        speed_rpm: ArrayLike,
-        outside: Outside,
+        quantity: Literal["charge", "loss"],
+        lift: FloatArray,
+        duration: FloatArray,
+        speed: FloatArray,
+        inside: np.ndarray,
+        conditions: BoundaryConditions | None,
     ) -> FloatArray:
-        lift, duration, speed, inside = self._inside(lift_mm, duration_deg, speed_rpm, outside)
-        share = np.clip(self.region.share(lift, duration, speed).value, 0.0, 1.0)
-        value = surface(self._slowness(speed), np.log(lift), share)
+        x = self.box.of(lift, duration, speed)
+        value = (self._charge if quantity == "charge" else self._loss)(*x)
+        if conditions is not None:
+            correction = self.require_boundary(conditions)
+            k = 0 if quantity == "charge" else 1
+            unit = units_of_air(self.engine, conditions)[k]
+            own = units_of_air(self.engine, BoundaryConditions.of(self.engine))[k]
+            surface = correction.charge_surface if k == 0 else correction.loss_surface
+            change = (surface(*x) * correction.basis(conditions)).sum(axis=-1)
+            value = unit * (value / own + change)
         return np.where(inside, value, np.nan)[()]
+
+    def require_boundary(self, conditions: BoundaryConditions) -> BoundaryCorrection:
+        """Return the correction after checking that it covers the conditions.
+
+        Raises
+        ------
+        ParameterError
+            If there is none, or it does not.
+        """
+        if self.boundary is None:
+            raise ParameterError(
+                f"the maps hold for {BoundaryConditions.of(self.engine)} only: use "
+                "with_boundary_conditions(plant) to fit them for others"
+            )
+        self.boundary.require(conditions)
+        return self.boundary
 
     def _gradient(
         self,
@@ -369,16 +690,26 @@ class MeanValuePlant:
         speed_rpm: ArrayLike,
         outside: Outside,
     ) -> MapGradient:
-        lift, duration, speed, inside = self._inside(lift_mm, duration_deg, speed_rpm, outside)
-        share = self.region.share(lift, duration, speed)
-        x = self._slowness(speed), np.log(lift), np.clip(share.value, 0.0, 1.0)
-        by_share = surface(*x, by=2)
-        derivatives = (
-            surface(*x, by=1) / lift + by_share * share.by_lift,
-            by_share * share.by_duration,
-            surface(*x, by=0) * -x[0] / speed + by_share * share.by_speed,
-        )
+        *point, inside = self._inside(lift_mm, duration_deg, speed_rpm, outside)
+        slope = _slopes(surface, self.box.of(*point))
+        derivatives = np.einsum("k...,ki...->i...", slope, self.box.jacobian(*point))
         return MapGradient(*(np.where(inside, d, np.nan)[()] for d in derivatives))
+
+    def _hessian(
+        self,
+        surface: Surface,
+        lift_mm: ArrayLike,
+        duration_deg: ArrayLike,
+        speed_rpm: ArrayLike,
+        outside: Outside,
+    ) -> MapHessian:
+        *point, inside = self._inside(lift_mm, duration_deg, speed_rpm, outside)
+        x, jacobian = self.box.of(*point), self.box.jacobian(*point)
+        second = np.array([[surface(*x, order=_order(k, m)) for m in range(3)] for k in range(3)])
+        h = np.einsum("km...,ki...,mj...->ij...", second, jacobian, jacobian)
+        h += np.einsum("k...,kij...->ij...", _slopes(surface, x), self.box.curvature(*point))
+        pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+        return MapHessian(*(np.where(inside, h[pair], np.nan)[()] for pair in pairs))
 
     def _inside(
         self, lift_mm: ArrayLike, duration_deg: ArrayLike, speed_rpm: ArrayLike, outside: Outside
@@ -406,10 +737,22 @@ class MeanValuePlant:
     def charge_lines(self, lift: FloatArray, speed: FloatArray) -> Lines:
         """Charge along the share at `p` pairs of lift and speed."""
         self._require(lift, speed)
-        return self._charge.lines(self._slowness(speed), np.log(lift))
+        return self._charge.lines(self.box.slowness(speed), np.log(lift))
 
-    def _largest_loss(self, speed_rpm: FloatArray) -> FloatArray:
-        """Largest pumping loss at each speed over the nodes' lifts and all durations, J."""
-        lift, speed = np.meshgrid(self.lifts_mm, speed_rpm)
-        lines = self._loss.lines(self._slowness(speed.ravel()), np.log(lift.ravel()))
-        return lines.peak().value.reshape(lift.shape).max(axis=1)
+    def largest_loss(self, speed_rpm: ArrayLike) -> FloatArray:
+        """Largest pumping loss at a speed over all lifts and durations, J per event."""
+        speeds = np.asarray(speed_rpm, dtype=float)
+        self._require(self.region.highest_lift_mm, speeds)
+        lift, speed = np.meshgrid(self.lifts_mm, speeds.ravel())
+        lines = self._loss.lines(self.box.slowness(speed.ravel()), np.log(lift.ravel()))
+        peak = lines.peak().value.reshape(lift.shape).max(axis=1)
+        return peak.reshape(speeds.shape)[()]
+
+
+def _order(*axes: int) -> tuple[int, int, int]:
+    """Order of a derivative by each of the box's coordinates."""
+    return axes.count(0), axes.count(1), axes.count(2)
+
+
+def _slopes(surface: Surface, x: FloatArray) -> FloatArray:
+    return np.stack([surface(*x, order=_order(k)) for k in range(_VARIABLES)])

@@ -130,7 +130,7 @@ def test_help_loads_nothing_heavy():
 def _coarse_maps(monkeypatch):
     """Maps with few nodes: what the loop does with them is its own affair."""
     fit = MeanValuePlant.fit
-    coarse = {"speeds_rpm": [750.0, 1500.0, 3000.0, 6000.0], "points": (4, 8)}
+    coarse = {"tolerance": 0.05, "most_points": 512}
     monkeypatch.setattr(MeanValuePlant, "fit", lambda **given: fit(**coarse, **given))
 
 

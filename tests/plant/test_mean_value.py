@@ -13,16 +13,21 @@ def maps():
     return MeanValuePlant.fit(PLANT)
 
 
-def test_maps_pass_through_the_full_plant_at_nodes(maps):
+def test_maps_pass_by_the_full_plant_at_nodes_no_further_than_told(maps):
     random = np.random.default_rng(2)
-    i, j, k = (random.integers(0, n, 40) for n in maps.charge.shape)
+    i, j, k = (random.integers(0, n, 200) for n in maps.charge.shape)
     speed, lift = maps.speeds_rpm[i], maps.lifts_mm[j]
     duration = maps.region.duration_deg(lift, maps.shares[k], speed)
     truth = sweep(PLANT, speed, lift, duration)
-    charge = maps.air_charge(lift, duration, speed)
-    np.testing.assert_allclose(charge, truth.air_charge, atol=1e-12 * 500e-6, rtol=1e-9)
-    loss = maps.pumping_loss(lift, duration, speed)
-    np.testing.assert_allclose(loss, truth.pumping_loss, atol=1e-11, rtol=1e-9)
+    told = maps.shape_adjustment
+    for value, true, all_true, most in (
+        (maps.air_charge(lift, duration, speed), truth.air_charge, maps.charge, told[0]),
+        (maps.pumping_loss(lift, duration, speed), truth.pumping_loss, maps.loss, told[1]),
+    ):
+        error = np.abs(value - true) / np.abs(all_true).max()
+        assert error.max() <= most + 1e-9
+        assert np.median(error) < 1e-5  # most nodes are met
+    assert max(told) < 0.006
 
 
 @pytest.mark.parametrize(
@@ -35,12 +40,17 @@ def test_published_figures_at_1500_rpm(maps, lift, duration, charge_mg, loss):
         assert maps.pumping_loss(lift, duration, 1500.0) == pytest.approx(loss, rel=0.02)
 
 
-def test_slow_and_wide_open_the_cylinder_fills_to_manifold_pressure(maps):
-    e = PLANT.engine
+def test_slow_and_wide_open_the_cylinder_fills_to_manifold_pressure():
+    # Without the ram of the runner, which at 750 rpm adds 1 %.
+    plant = CrankAnglePlant(runner=False)
+    maps = MeanValuePlant.fit(
+        plant, speed_range_rpm=(750.0, 900.0), lift_range_mm=(4.0, 8.0), most_points=1500
+    )
+    e = plant.engine
     gas = e.gas_constant * e.temperature
     full = e.ambient_pressure * (e.displaced_volume + e.clearance_volume) / gas
     charge = full - e.exhaust_pressure * e.clearance_volume / gas
-    assert maps.air_charge(8.0, 184.5, 750.0) == pytest.approx(charge, rel=0.01)
+    assert maps.air_charge(8.0, 184.5, 750.0) == pytest.approx(charge, rel=0.005)
 
 
 def test_error_between_nodes(maps):
@@ -182,6 +192,7 @@ def test_dataset_carries_units_and_provenance(maps):
     assert data.attrs["throttle_deg"] == 90.0
     assert '"temperature": 290.0' in data.attrs["engine"]
     node = data.isel(speed=3, lift=4, share=5)
+    assert data.attrs["format"].startswith("camless-ctrl mean-value maps")
     cycle = PLANT.steady_cycle(
         float(node.speed), ValveCommand(float(node.lift), float(node.duration))
     )
@@ -202,21 +213,28 @@ def test_plots_show_the_infeasible_corner(maps, draw):
         getattr(maps, draw)(7000.0)
 
 
-def test_a_map_of_chosen_size_and_bad_grids():
+def test_a_map_of_chosen_region_and_bad_ranges():
     calls = []
     small = MeanValuePlant.fit(
         CrankAnglePlant(runner=False),
-        speeds_rpm=[1000.0, 1200.0, 1400.0, 1600.0],
-        points=(4, 5),
+        speed_range_rpm=(1000.0, 1600.0),
         lift_range_mm=(2.0, 4.0),
         longest_deg=200.0,
+        tolerance=1e-3,
+        most_points=2000,
         progress=lambda *call: calls.append(call),
     )
-    assert small.charge.shape == (4, 4, 5)
-    assert calls[-1] == (80, 80)
-    with pytest.raises(ParameterError, match="rising values"):
-        MeanValuePlant.fit(PLANT, speeds_rpm=[1000.0, 900.0, 1200.0, 1300.0])
-    with pytest.raises(ParameterError, match=r"points\[0\] is 3"):
-        MeanValuePlant.fit(PLANT, points=(3, 30))
+    assert small.charge.size <= 2000
+    assert (small.speeds_rpm[0], small.speeds_rpm[-1]) == (1000.0, 1600.0)
+    assert (small.lifts_mm[0], small.lifts_mm[-1]) == (2.0, 4.0)
+    assert calls[-1] == (small.provenance["cycles_simulated"],) * 2
+    told = small.provenance["error_between_nodes"]  # along one coordinate at a time
+    assert small.error_against(CrankAnglePlant(runner=False), samples=300).charge_max < 3.0 * told
+    with pytest.raises(ParameterError, match="highest_speed_rpm is 900"):
+        MeanValuePlant.fit(PLANT, speed_range_rpm=(1000.0, 900.0))
+    with pytest.raises(ParameterError, match="most_points is 30"):
+        MeanValuePlant.fit(PLANT, most_points=30)
+    with pytest.raises(ParameterError, match="tolerance is 0"):
+        MeanValuePlant.fit(PLANT, tolerance=0.0)
     with pytest.raises(ParameterError, match="must be 'camless'"):
         MeanValuePlant.fit(CrankAnglePlant(profile="conventional"))

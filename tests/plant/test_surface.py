@@ -10,7 +10,7 @@ NODES = (
 
 
 def surface(f):
-    return Surface(NODES, f(*np.meshgrid(*NODES, indexing="ij")))
+    return Surface.through(NODES, f(*np.meshgrid(*NODES, indexing="ij")))
 
 
 def points(count=60):
@@ -22,9 +22,9 @@ def test_a_cubic_polynomial_and_its_derivatives_are_exact():
     s = surface(lambda x, y, z: x**3 * y - 2.0 * y**2 * z**3 + x * y * z)
     x, y, z = points()
     np.testing.assert_allclose(s(x, y, z), x**3 * y - 2 * y**2 * z**3 + x * y * z, atol=1e-11)
-    np.testing.assert_allclose(s(x, y, z, by=0), 3 * x**2 * y + y * z, atol=1e-11)
-    np.testing.assert_allclose(s(x, y, z, by=1), x**3 - 4 * y * z**3 + x * z, atol=1e-11)
-    np.testing.assert_allclose(s(x, y, z, by=2), -6 * y**2 * z**2 + x * y, atol=1e-11)
+    np.testing.assert_allclose(s(x, y, z, order=(1, 0, 0)), 3 * x**2 * y + y * z, atol=1e-11)
+    np.testing.assert_allclose(s(x, y, z, order=(0, 1, 0)), x**3 - 4 * y * z**3 + x * z, atol=1e-11)
+    np.testing.assert_allclose(s(x, y, z, order=(0, 0, 1)), -6 * y**2 * z**2 + x * y, atol=1e-11)
 
 
 def test_lines_are_cuts_of_the_surface():
@@ -32,7 +32,7 @@ def test_lines_are_cuts_of_the_surface():
     x, y, z = points()
     lines = s.lines(x, y)
     np.testing.assert_allclose(lines.at(z), s(x, y, z), atol=1e-13)
-    np.testing.assert_allclose(lines.derivative().at(z), s(x, y, z, by=2), atol=1e-11)
+    np.testing.assert_allclose(lines.derivative().at(z), s(x, y, z, order=(0, 0, 1)), atol=1e-11)
     np.testing.assert_allclose(np.diag(lines.on(z)), s(x, y, z), atol=1e-13)
 
 

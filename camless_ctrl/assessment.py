@@ -11,7 +11,8 @@ from .closed_loop import ClosedLoopResult, averaged
 from .requirements import RequirementResult, evaluate
 
 if TYPE_CHECKING:
-    from plant.map_results import MapError
+    from plant.map_results import BoundaryError, MapError
+    from plant.throttled import ThrottleStep
     from plant.validation import ValidationReport
 
     from .robustness import RobustnessResult
@@ -37,6 +38,24 @@ def assess_maps(error: MapError) -> list[RequirementResult]:
         evaluate("map-charge-worst", 100.0 * error.charge_max, f"at {error.worst_charge}"),
         evaluate("map-loss-rms", 100.0 * error.loss_rms),
         evaluate("map-loss-worst", 100.0 * error.loss_max, f"at {error.worst_loss}"),
+    ]
+
+
+def assess_boundary(error: BoundaryError) -> list[RequirementResult]:
+    """Requirement on the maps at other boundary conditions."""
+    return [evaluate("map-boundary-charge-rms", 100.0 * error.charge_rms)]
+
+
+def assess_throttle_steps(steps: Sequence[ThrottleStep]) -> list[RequirementResult]:
+    """Requirement on the throttled plant; the worst step of all runs counts."""
+    worst = max(steps, key=lambda run: float(run.rms_each.max()))
+    angles = ", ".join(f"{angle:g}" for angle in worst.throttles_deg)
+    return [
+        evaluate(
+            "throttle-step",
+            100.0 * float(worst.rms_each.max()),
+            f"{angles} deg at {worst.speed_rpm:g} rpm",
+        )
     ]
 
 

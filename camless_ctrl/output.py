@@ -44,13 +44,7 @@ def reserved_file(path: Path | None) -> Iterator[OutputFile | None]:
         yield None
         return
     path = Path(path)
-    if path.is_dir():
-        raise OutputError(f"{path} is a folder, but must be a file: name a file in it")
-    if not path.parent.is_dir():
-        raise OutputError(
-            f"folder {path.parent} does not exist, so {path.name} cannot be written there: "
-            "create it or name another file"
-        )
+    require_place(path)
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
@@ -65,6 +59,23 @@ def reserved_file(path: Path | None) -> Iterator[OutputFile | None]:
             os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
+
+
+def require_place(path: Path) -> None:
+    """Check that a file can be made at a path, before the work that fills it.
+
+    Raises
+    ------
+    OutputError
+        If there is a folder of that name, or none to put it in.
+    """
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder, but must be a file: name a file in it")
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"folder {path.parent} does not exist, so {path.name} cannot be written there: "
+            "create it or name another file"
+        )
 
 
 @contextmanager

@@ -161,6 +161,24 @@ REQUIREMENTS: dict[str, Requirement] = {
             "that speed",
         ),
         Requirement(
+            "map-boundary-charge-rms",
+            0.5,
+            "%",
+            "at most",
+            _DESIGN,
+            "rms error of the charge map over ambient pressure 0.7 to 1.05 bar, 250 to 330 K and "
+            "exhaust pressure 1.0 to 1.3 bar, of the largest charge at that speed",
+        ),
+        Requirement(
+            "throttle-step",
+            2.0,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest rms error of the throttled mean-value plant's manifold pressure after a "
+            "throttle step, against the full plant with the conventional cam",
+        ),
+        Requirement(
             "loop-spectral-radius",
             0.999,
             "1",

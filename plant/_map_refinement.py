@@ -144,14 +144,24 @@ def _finer(found: list[_Distances], tolerance: float, most_points: int) -> Nodes
         places.append(fine)
         densities.append(1.0 / _graded(fine, spacing))
     counts = np.array([_SPARE * np.trapezoid(d, x) for x, d in zip(places, densities, strict=True)])
-    counts = np.maximum(np.ceil(counts), DEGREE + 1)
-    excess = np.prod(counts + 1.0) / most_points
-    if excess > 1.0:
-        counts = np.maximum(np.floor((counts + 1.0) * excess ** (-1.0 / 3.0) - 1.0), DEGREE)
+    counts = _limited(np.maximum(np.ceil(counts), DEGREE + 1), most_points)
     return _as_nodes(
         _equidistributed(x, d, int(count))
         for x, d, count in zip(places, densities, counts, strict=True)
     )
+
+
+def _limited(intervals: FloatArray, most_points: int) -> FloatArray:
+    """Reduce the nodes of the three coordinates alike until they make few enough points."""
+    nodes = intervals + 1.0
+    for _ in nodes:  # each time it is enough, or one more coordinate has its fewest nodes
+        free = nodes > DEGREE + 1
+        excess = np.prod(nodes) / most_points
+        if excess <= 1.0 or not free.any():
+            break
+        fewer = np.floor(nodes * excess ** (-1.0 / free.sum()))
+        nodes = np.where(free, np.maximum(fewer, DEGREE + 1), nodes)
+    return nodes - 1.0
 
 
 def _graded(x: FloatArray, spacing: FloatArray) -> FloatArray:

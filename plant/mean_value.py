@@ -172,6 +172,9 @@ class MeanValuePlant:
         kinks = box.slowness(breaks).tolist() if plant.runner else []
         grid = refined_grid(simulate, box.bounds, tolerance, most_points, kinks)
         speeds, lifts = box.speed_and_lift(grid.nodes[0], grid.nodes[1])
+        # The ends to the last digit: they are the region's when the maps are read from a file.
+        speeds[[0, -1]] = region.lowest_speed_rpm, region.highest_speed_rpm
+        lifts[[0, -1]] = region.lowest_lift_mm, region.highest_lift_mm
         return cls(
             plant.engine,
             region,

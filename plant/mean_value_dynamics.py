@@ -235,6 +235,8 @@ class MeanValueDynamics(_Replaceable):
         """
         inputs = self._inputs(commands, speed_rpm)
         state = self._first_guess(inputs)
+        # A small charge that passes the throttle is known to what the manifold's mass rounds to.
+        mass = step.manifold_capacity(self) * self.maps.engine.ambient_pressure
         for _ in range(_MOST_ITERATIONS):
             point = self._cycle(state, inputs)
             end, _ = self.advance(point.states[-1], inputs[-1], self.gains[-1])
@@ -246,7 +248,7 @@ class MeanValueDynamics(_Replaceable):
             limit = 0.3 * state[0]
             share = min(1.0, limit / abs(move[0])) if move[0] else 1.0
             state = state + share * move
-            if np.all(np.abs(move) <= _SETTLED * np.maximum(np.abs(state), 1e-12)):
+            if np.all(np.abs(move) <= _SETTLED * np.maximum(np.abs(state), mass)):
                 return self._cycle(state, inputs)
         raise ConvergenceError(
             f"no periodic operation of the mean-value plant found at {speed_rpm:g} rpm after "
@@ -283,7 +285,7 @@ class MeanValueDynamics(_Replaceable):
             *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (lift_mm, duration_deg, speed_rpm))
         )
         inputs = np.stack(given, axis=-1)
-        if inputs.ndim != 2:
+        if inputs.ndim != 2 or not len(inputs):
             raise ParameterError(
                 f"the inputs have shape {inputs.shape[:-1]}, but must be one value an event"
             )
@@ -495,9 +497,24 @@ class MeanValueDynamics(_Replaceable):
     def _first_guess(self, inputs: FloatArray) -> FloatArray:
         """Settled state for the mean charge, the manifold at the pressure that it asks for."""
         T = event_time(float(inputs[0, 2]), self.n_cylinders)
-        charge = float(np.mean(self.maps.air_charge(inputs[:, 0], inputs[:, 1], inputs[:, 2])))
-        flow = min(max(charge, 0.0) / (self.throttle_area * T), 1.0)
-        pressure = self.maps.engine.ambient_pressure * 0.5 * (1.0 + np.sqrt(1.0 - flow**2))
+        event, ambient = self.event, self.maps.engine.ambient_pressure
+
+        def settled(pressure: float) -> tuple[float, float]:
+            """Mean charge at a pressure, and the pressure at which the throttle passes it."""
+            state = np.zeros(event.size1_in(0))
+            state[0] = pressure
+            pairs = zip(inputs, self.gains, strict=True)
+            charge = float(np.mean([float(event(state, u, gain)[1][0]) for u, gain in pairs]))
+            flow = min(max(charge, 0.0) / (self.throttle_area * T), 1.0)
+            return charge, ambient * 0.5 * (1.0 + np.sqrt(1.0 - flow**2))
+
+        charge, pressure = settled(ambient)
+        if self.maps.boundary:  # the charge falls with the pressure, and the maps end somewhere
+            low, high = self.maps.boundary.ranges[0][0], ambient
+            while high - low > 1e-3 * ambient:
+                pressure = 0.5 * (low + high)
+                charge, asked = settled(pressure)
+                low, high = (pressure, high) if asked > pressure else (low, pressure)
         taps = step.maf_taps(self)
         tail = charge / -np.expm1(-T / self.maf.time_constant)
         wait = self.power_delay_events

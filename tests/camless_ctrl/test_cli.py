@@ -102,14 +102,39 @@ def test_bad_input_is_one_clear_line_and_status_2(tmp_path, capsys, arguments, s
 def test_map_gives_the_published_charge_and_marks_limited_lifts(tmp_path, capsys):
     arguments = ["map", "--speed-rpm", "1500", "--lift-mm", "3", "8"]
     assert main([*arguments, "--duration-deg", "1", "20", "189", "--json", "m.json"]) == 0
-    points = json.loads((tmp_path / "m.json").read_text())["points"]
-    by = {(p["lift_mm"], p["duration_deg"]): p for p in points}
+    content = json.loads((tmp_path / "m.json").read_text())
+    by = {(p["lift_mm"], p["duration_deg"]): p for p in content["table"]}
     assert len(by) == 6
     # Part I, section 3.1: 473 mg, which the identified engine meets within 1 %
     assert by[3.0, 189.0]["air_charge_mg"] == pytest.approx(473.0, rel=0.01)
     assert by[8.0, 20.0]["delivered_lift_mm"] < 8.0
     assert by[3.0, 1.0]["air_charge_mg"] is None
     assert "*" in capsys.readouterr().out
+
+
+def test_map_tells_its_size_time_and_error_and_saves_maps_that_can_be_loaded(tmp_path, capsys):
+    point = ["--speed-rpm", "1500", "--lift-mm", "3", "--duration-deg", "189"]
+    assert main(["map", *point, "--save", "m.nc", "--json", "m.json"]) == 0
+    content = json.loads((tmp_path / "m.json").read_text())
+    assert content["points"] >= 7000
+    assert content["build_seconds"] > 0.0
+    error = content["error"]
+    assert set(error) == {"charge_rms", "charge_max", "loss_rms", "loss_max", "points"}
+    assert error["points"] == 1000
+    assert (error["charge_rms"], error["charge_max"]) <= (0.003, 0.015)
+    assert {row["name"] for row in content["requirements"]} == {
+        name for name in REQUIREMENTS if name.startswith("map-") and "boundary" not in name
+    }
+    assert "reversal" in capsys.readouterr().out.lower()
+    assert main(["map", *point, "--load", "m.nc", "--json", "again.json"]) == 0
+    again = json.loads((tmp_path / "again.json").read_text())
+    assert again["error"] == error
+    assert main(["map", *point, "--load", "m.json"]) == 2
+    assert "does not hold mean-value maps" in capsys.readouterr().err
+    assert main(["map", *point, "--load", "missing.nc"]) == 2
+    assert "missing.nc" in capsys.readouterr().err
+    assert main(["map", *point, "--save", "no/m.nc"]) == 2
+    assert not (tmp_path / "no").exists()
 
 
 def test_help_loads_nothing_heavy():
@@ -186,6 +211,7 @@ def test_validate_writes_what_it_prints(tmp_path, capsys):
         (["analyse", "--speed-rpm", "9000"], "[750, 6000] rpm"),
         (["simulate", "--speed-rpm", "9000"], "[750, 6000] rpm"),
         (["report", "--seed", "-1"], "--seed is -1"),
+        (["map", "--seed", "-1"], "--seed is -1"),
         (["simulate", "--seeds", "0"], "--seeds is 0"),
     ],
 )

@@ -14,6 +14,7 @@ def test_bounds_of_the_report():
         "map-charge-worst": (1.5, "at most"),
         "map-loss-rms": (0.5, "at most"),
         "map-loss-worst": (3.0, "at most"),
+        "throttle-step": (2.0, "at most"),
         "cylinder-error": (1.0, "at most"),
         "imbalance": (0.5, "at most"),
         "command-lift-lowest": (0.5, "at least"),

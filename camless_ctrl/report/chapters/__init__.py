@@ -12,6 +12,7 @@ from .reproducibility import ReproducibilityChapter
 from .requirements import RequirementsChapter
 from .robustness import RobustnessChapter
 from .summary import SummaryChapter
+from .throttled import ThrottledChapter
 from .validation import ValidationChapter
 
 
@@ -23,6 +24,7 @@ def default_chapters() -> tuple[Chapter, ...]:
         ValidationChapter(),
         IntakeChapter(),
         MapsChapter(),
+        ThrottledChapter(),
         DeltasChapter(),
         RobustnessChapter(),
         ClosedLoopChapter(),

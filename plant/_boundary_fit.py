@@ -81,8 +81,8 @@ def with_boundary_conditions(
     def error(correction: BoundaryCorrection) -> BoundaryError:
         return _error(dataclasses.replace(maps, boundary=correction), cycles, ranges, samples, seed)
 
-    # Every second node: a cubic spline over them lies in the space of the maps' own.
-    picked = [np.union1d(np.arange(0, n, 2), [n - 1]) for n in maps.charge.shape]
+    # Every second node: a cubic spline over them lies in the space of the maps' own. It needs 4.
+    picked = [np.union1d(np.arange(0, n, 2 if n > 5 else 1), [n - 1]) for n in maps.charge.shape]
     speed, lift, share = (
         nodes[k]
         for nodes, k in zip((maps.speeds_rpm, maps.lifts_mm, maps.shares), picked, strict=True)

@@ -64,8 +64,8 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
     gain = casadi.MX.sym(GAIN)
     speed = u[2]
     T = 120.0 / (model.n_cylinders * speed)
-    pressure, reading, tail = x[0], x[1], x[2]
-    intake, charges = x[3 : 3 + taps], x[3 + taps :]
+    pressure, reading, tail, *past = casadi.vertsplit(x)
+    intake, charges = past[:taps], past[taps:]
 
     charge, loss, inside = charge_and_loss(model, u, pressure, T)
     charge = gain * charge
@@ -74,7 +74,8 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
     passed = charge + capacity * (next_pressure - pressure)  # through the throttle, kg
 
     a, weights = _maf_weights(model, taps, T)
-    seen = weights[0] * passed + casadi.dot(weights[1:], intake) + a * weights[taps] * tail
+    recent = casadi.vertcat(passed, *intake)
+    seen = casadi.dot(weights, recent) + a * weights[taps] * tail
     maf = (1.0 + model.maf.gain_error) * seen / T + model.maf.offset
     tau = model.map.time_constant
     left = casadi.exp(-T / tau) if tau > 0.0 else casadi.MX(0.0)
@@ -86,8 +87,8 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
         next_pressure + (reading - next_pressure) * left,
         a * tail + intake[taps - 1],
         passed,
-        intake[: taps - 1],
-        *((charge, charges[: wait - 1]) if wait else ()),
+        *intake[:-1],
+        *([charge, *charges[:-1]] if wait else ()),
     )
     power = charges[wait - 1] if wait else charge
     outputs = casadi.vertcat(charge, power, loss, passed / T, next_pressure, maf, map_)

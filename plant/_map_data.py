@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from ._boundary_correction import BoundaryCorrection
 from ._engine_fields import engine_fields, field_unit, get_field
+from ._files import replaced
 from .crank_angle import CrankAnglePlant
 from .errors import ParameterError
 from .map_results import BoundaryError
@@ -76,17 +75,8 @@ def to_dataset(maps: MeanValuePlant) -> xr.Dataset:
 
 def save(maps: MeanValuePlant, path: str | os.PathLike[str]) -> None:
     """See `MeanValuePlant.save`."""
-    target = Path(path)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    os.close(handle)
-    try:
+    with replaced(path) as temporary:
         to_dataset(maps).to_netcdf(temporary, engine="scipy")
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes private files
-        os.replace(temporary, target)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
 
 
 def load(
@@ -173,7 +163,8 @@ def _differences(maps: MeanValuePlant, plant: CrankAnglePlant | Engine) -> list[
         if theirs != ours:
             unit = field_unit(name)
             unit = "" if unit == "1" else f" {unit}"
-            found.append(f"{name} is {theirs:g}{unit} in the file, {ours:g}{unit} here")
+            form = "g" if f"{theirs:g}" != f"{ours:g}" else ".17g"
+            found.append(f"{name} is {theirs:{form}}{unit} in the file, {ours:{form}}{unit} here")
     if isinstance(plant, CrankAnglePlant):
         for name in _OPTIONS:
             given = getattr(plant, name)

@@ -91,8 +91,13 @@ class MapErrorField:
                     figure.colorbar(mesh, ax=ax, label=f"largest {label} error (%)")
                     ax.grid(False)
                     ax.set_ylabel("lift (mm)" if axis == 1 else "share of duration (1)")
+            ticks = [750, 1000, 1500, 2000, 3000, 4500, 6000]
             for ax in panels[1]:
                 ax.set_xlabel("speed (rpm)")
+                ax.set_xscale("log")  # the bins are even in 1/N
+                ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
+                ax.minorticks_off()
+                ax.set_xlim(self.edges[0][0], self.edges[0][-1])
         return figure
 
     def __str__(self) -> str:

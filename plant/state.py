@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
+from ._files import replaced
 from ._layout import CAM, CYLINDER_COLUMNS, MANIFOLD_ENTRIES, PHASE
 from .errors import ParameterError
 from .kinematics import FloatArray
@@ -131,15 +131,5 @@ def _fault(cylinders: FloatArray, manifold: FloatArray) -> str:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file through a temporary file beside it, so that it is never half there."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        # mkstemp makes private files; give the usual permissions.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replaced(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from camless_ctrl.assessment import assess_boundary, assess_maps
-from plant import ValveCommand, plot_valve_profiles
 from plant.mean_value import MeanValuePlant
 
 from ..chapter import Context
@@ -89,7 +88,6 @@ class MapsChapter:
                     longest=Number(maps.region.longest_deg, "°"),
                     adjusted=Number(100.0 * maps.shape_adjustment[0], "%"),
                 ),
-                _profiles_figure(context),
                 _charge_figure(context, maps),
                 _loss_figure(context, maps),
                 _surface_figure(context, maps),
@@ -135,19 +133,6 @@ def boundary_error(context: Context) -> BoundaryError:
     return correction.error
 
 
-def _profiles_figure(context: Context) -> Figure:
-    ax = plot_valve_profiles(ValveCommand(5.0, 180.0), valvetrain=context.engine.valvetrain)
-    return Figure(
-        "profiles",
-        Text(
-            "Valve profiles for 5 mm and 180° at several speeds. The ramps take the same time at "
-            "every speed, so that at high speed they take most of the duration."
-        ),
-        "Valve lift over crank angle at four speeds, and a conventional cam.",
-        context.draw(ax),
-    )
-
-
 def _surface_figure(context: Context, maps: MeanValuePlant) -> Figure:
     import matplotlib.pyplot as plt
 
@@ -160,6 +145,7 @@ def _surface_figure(context: Context, maps: MeanValuePlant) -> Figure:
     maps.plot_charge(1500.0, row[0][0], kind="surface")
     maps.plot_loss(1500.0, row[0][1], kind="surface")
     for ax, title in zip(row[0], ("air charge", "pumping loss"), strict=True):
+        ax.set_title("", loc="center")
         ax.set_title(title, loc="left")
         if ax.get_legend() is not None:
             ax.get_legend().remove()

@@ -23,7 +23,7 @@ _RELAXATION = 1.7  # of the projections: below 2 they settle, above 1 they settl
 _ENOUGH = 1e-7  # of the largest value: a step against the values that may be left
 _MOST_SWEEPS = 1000
 _MOST_ROUNDS = 30
-_SLOPES = 12  # looked at from one node to the next
+_SLOPES = 48  # looked at from one node to the next
 _DEGREE = 3
 
 

@@ -12,6 +12,7 @@ from ._checks import whole
 from ._plotting import styled
 from ._progress import Progress
 from .crank_angle import CrankAnglePlant
+from .errors import ParameterError
 from .kinematics import FloatArray
 from .map_results import MapError
 from .region import OperatingPoint
@@ -307,6 +308,12 @@ def _clear_of_edges(
         for kink in (helmholtz.low_speed_rpm, helmholtz.high_speed_rpm):
             clear &= np.abs(x[2] - kink) > reach[2]
     kept = np.flatnonzero(clear)[:count]
+    if not kept.size:
+        raise ParameterError(
+            f"none of {x.shape[1]} points leaves room for differences over {200 * _STEPS[0]:g} % "
+            f"of lift, {2 * _STEPS[1]:g} deg and {200 * _STEPS[2]:g} % of speed each way: fit maps "
+            "of a wider region"
+        )
     return x[:, kept], h[:, kept]
 
 

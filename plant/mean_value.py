@@ -8,7 +8,7 @@ region (`OperatingRegion`) and nothing else: outside they refuse, or give NaN on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     import os
 
     import casadi
+    import control
     import xarray as xr
     from matplotlib.axes import Axes
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from .map_error import MapDerivativeError, MapErrorField
     from .map_regions import MapRegions
     from .mean_value_dynamics import MeanValueDynamics
+    from .valve import ValveCommand
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -412,11 +414,23 @@ class MeanValuePlant(MapEvaluation):
 
         return derivative_error_against(self, plant, samples, seed, threads, progress)
 
-    def dynamics(self, **options: object) -> MeanValueDynamics:
+    def dynamics(self, **options: Any) -> MeanValueDynamics:
         """Return the plant for design with its dynamics; options as for `MeanValueDynamics`."""
         from .mean_value_dynamics import MeanValueDynamics
 
-        return MeanValueDynamics(self, **options)  # type: ignore[arg-type]
+        return MeanValueDynamics(self, **options)
+
+    def as_nonlinear_system(
+        self, domain: Literal["event", "time"] = "event", **options: Any
+    ) -> control.NonlinearIOSystem:
+        """`MeanValueDynamics.as_nonlinear_system` of dynamics with these options."""
+        return self.dynamics(**options).as_nonlinear_system(domain)
+
+    def linearize(
+        self, command: ValveCommand, speed_rpm: float, *, relative: bool = True, **options: Any
+    ) -> control.StateSpace:
+        """`MeanValueDynamics.linearize` of dynamics with these options."""
+        return self.dynamics(**options).linearize(command, speed_rpm, relative=relative)
 
     def to_dataset(self) -> xr.Dataset:
         """Return the nodes as an `xarray.Dataset` with units and provenance."""

@@ -480,7 +480,7 @@ class MeanValueDynamics(_Replaceable):
         self, commands: ValveCommand | Sequence[ValveCommand], speed_rpm: float
     ) -> FloatArray:
         n = self.n_cylinders
-        each = [commands] * n if isinstance(commands, ValveCommand) else list(commands)
+        each = list(commands) if isinstance(commands, Sequence) else [commands] * n
         if len(each) != n or not all(isinstance(c, ValveCommand) for c in each):
             raise ParameterError(
                 f"commands is {commands!r}, but must be one ValveCommand or one for each of the "

@@ -9,7 +9,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from .boundary import NAMES
-from .errors import ParameterError
 
 if TYPE_CHECKING:
     import casadi
@@ -38,6 +37,7 @@ def state_names(model: MeanValueDynamics) -> list[str]:
         "map_reading",
         "maf_tail",
         *(f"intake_{j}_events_ago" for j in range(1, maf_taps(model) + 1)),
+        *(f"event_time_{j}_events_ago" for j in range(1, maf_taps(model) + 1)),
         *(f"charge_{j}_events_ago" for j in range(1, model.power_delay_events + 1)),
     ]
 
@@ -65,7 +65,7 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
     speed = u[2]
     T = 120.0 / (model.n_cylinders * speed)
     pressure, reading, tail, *past = casadi.vertsplit(x)
-    intake, charges = past[:taps], past[taps:]
+    intake, lengths, charges = past[:taps], past[taps : 2 * taps], past[2 * taps :]
 
     charge, loss, inside = charge_and_loss(model, u, pressure, T)
     charge = gain * charge
@@ -73,9 +73,7 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
     capacity = manifold_capacity(model)
     passed = charge + capacity * (next_pressure - pressure)  # through the throttle, kg
 
-    a, weights = _maf_weights(model, taps, T)
-    recent = casadi.vertcat(passed, *intake)
-    seen = casadi.dot(weights, recent) + a * weights[taps] * tail
+    seen, next_tail = _reading(model, taps, T, [passed, *intake], lengths, tail)
     maf = (1.0 + model.maf.gain_error) * seen / T + model.maf.offset
     tau = model.map.time_constant
     left = casadi.exp(-T / tau) if tau > 0.0 else casadi.MX(0.0)
@@ -85,9 +83,11 @@ def event_step(model: MeanValueDynamics) -> casadi.Function:
     following = casadi.vertcat(
         next_pressure,
         next_pressure + (reading - next_pressure) * left,
-        a * tail + intake[taps - 1],
+        next_tail,
         passed,
         *intake[:-1],
+        T,
+        *lengths[:-1],
         *([charge, *charges[:-1]] if wait else ()),
     )
     power = charges[wait - 1] if wait else charge
@@ -170,27 +170,46 @@ def _wide(model: MeanValueDynamics) -> float:
     return model.maps.engine.throttle.wide_open_deg
 
 
-def _maf_weights(model: MeanValueDynamics, taps: int, T: Any) -> tuple[Any, Any]:
-    """Decay over an event, and what each past event adds to the reading's integral over one."""
+def _reading(
+    model: MeanValueDynamics, taps: int, T: Any, charges: Any, lengths: Any, tail: Any
+) -> tuple[Any, Any]:
+    """Integral of the MAF reading over an event, and the reading that old pulses leave at its end.
+
+    The pulses of this event and the `taps` before it are followed through delay and lag, each
+    with its own event's length; what older ones have left is `tail`, which decays.
+    """
     import casadi
 
     shape, tau, delay = model.flow_shape, model.maf.time_constant, model.maf.delay
-    if tau <= 0.0:
-        raise ParameterError(
-            f"the MAF sensor's time_constant is {tau:g} s, but must be above 0 here"
-        )
-    length = T / shape.parts
+    integral = tail * tau * -casadi.expm1(-T / tau)
+    before: Any = 0.0  # time from the pulse's own IVO to this event's
+    for j in range(taps + 1):
+        length = (lengths[j - 1] if j else T) / shape.parts
+        before = before + lengths[j - 1] if j else before
+        for k, share in enumerate(shape.shares):
+            start = before - delay - k * length
+            area = _pulse_area(start + T, length, tau) - _pulse_area(start, length, tau)
+            integral += charges[j] * share * area
+    oldest = sum(
+        share * _pulse(before + T - delay - k * length, length, tau)
+        for k, share in enumerate(shape.shares)
+    )
+    return integral, tail * casadi.exp(-T / tau) + charges[taps] * oldest
 
-    def area(t: Any) -> Any:
-        def ramp(s: Any) -> Any:
-            s = casadi.fmax(s, 0.0)
-            return s + tau * casadi.expm1(-s / tau)
 
-        return (ramp(t) - ramp(t - length)) / length
+def _pulse(t: Any, length: Any, tau: float) -> Any:
+    """Reading of an even pulse of unit charge after it has passed, 1/s."""
+    import casadi
 
-    edges = []
-    for j in range(taps + 2):
-        parts = [share * area(j * T - delay - k * length) for k, share in enumerate(shape.shares)]
-        edges.append(sum(parts[1:], parts[0]))
-    weights = casadi.vertcat(*(edges[j + 1] - edges[j] for j in range(taps + 1)))
-    return casadi.exp(-T / tau), weights
+    return (casadi.exp(-(t - length) / tau) - casadi.exp(-t / tau)) / length
+
+
+def _pulse_area(t: Any, length: Any, tau: float) -> Any:
+    """Integral of the reading of an even pulse of unit charge up to a time, 1."""
+    import casadi
+
+    def ramp(s: Any) -> Any:
+        s = casadi.fmax(s, 0.0)
+        return s + tau * casadi.expm1(-s / tau)
+
+    return (ramp(t) - ramp(t - length)) / length

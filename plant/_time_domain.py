@@ -72,7 +72,9 @@ def _rates(model: MeanValueDynamics) -> tuple[casadi.Function, list[str]]:
     if delayed:
         at_sensor = _delay(state, rates, "maf_delay", flow, model.maf.delay)
     if model.power_delay_deg:
-        power = _delay(state, rates, "power_delay", charge, model.power_delay_deg / (6.0 * u[2]))
+        wait = model.power_delay_deg / (6.0 * u[2])
+        # In mg: solvers measure states by one absolute tolerance.
+        power = 1e-6 * _delay(state, rates, "power_delay", 1e6 * charge, wait)
     readings = []
     for (name, tau), signal in zip(lags.items(), (at_sensor, pressure), strict=True):
         key = f"{name}_reading"

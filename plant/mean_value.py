@@ -80,9 +80,9 @@ class MeanValuePlant(MapEvaluation):
 
     Notes
     -----
-    Cubic splines (C2) in ``1/speed``, the logarithm of lift, and the share. Their coefficients
-    step with the values at the nodes and not against them, so that the surface has no rise or
-    fall that these do not have; for that it leaves the nodes by `shape_adjustment` at most. At
+    Cubic splines (C2) in ``1/speed``, the logarithm of lift, and the share. Along these
+    coordinates the surface rises (falls) wherever the values at the nodes around do; for that it
+    leaves single nodes by `shape_adjustment` at most. At
     the runner's break points (1500 and 3000 rpm) the full plant has a kink in speed, which the
     spline rounds.
     """

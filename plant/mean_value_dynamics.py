@@ -127,6 +127,12 @@ class MeanValueDynamics(_Replaceable):
             open_low=True,
             remedy="Eq. 19 gives no opening at smaller angles",
         )
+        positive("maf.time_constant", self.maf.time_constant, "s")
+        if self.map.delay != 0.0:
+            raise ParameterError(
+                f"map.delay is {self.map.delay:g} s, but must be 0: the mean-value plant has no "
+                "delay of the pressure sensor"
+            )
         in_range("power_delay_deg", self.power_delay_deg, 0.0, 720.0, "deg")
 
     # -- figures -----------------------------------------------------------------------------
@@ -199,9 +205,13 @@ class MeanValueDynamics(_Replaceable):
         ParameterError, InfeasibleProfileError
             Where the maps do not hold.
         """
-        following, outputs, inside = self.event(
-            np.asarray(state, dtype=float), np.asarray(inputs, dtype=float), gain
-        )
+        state = np.asarray(state, dtype=float)
+        if state.shape != (self.event.size1_in(0),):
+            raise ParameterError(
+                f"the state has shape {state.shape}, but must have ({self.event.size1_in(0)},): "
+                "take one from operating_point(...)"
+            )
+        following, outputs, inside = self.event(state, np.asarray(inputs, dtype=float), gain)
         if not float(inside):
             self.maps.region.require(*np.asarray(inputs, dtype=float))
             self.require_pressure(float(np.ravel(state)[0]))
@@ -509,6 +519,13 @@ class MeanValueDynamics(_Replaceable):
             return charge, ambient * 0.5 * (1.0 + np.sqrt(1.0 - flow**2))
 
         charge, pressure = settled(ambient)
+        if not self.maps.boundary and charge >= self.throttle_area * T:
+            raise ParameterError(
+                f"the throttle at {self.throttle_deg:g} deg passes at most "
+                f"{1e6 * self.throttle_area * T:.1f} mg an event at {inputs[0, 2]:g} rpm, but the "
+                f"commands ask for {1e6 * charge:.1f} mg: open the throttle, or use maps with "
+                "boundary conditions, whose charge falls with the manifold pressure"
+            )
         if self.maps.boundary:  # the charge falls with the pressure, and the maps end somewhere
             low, high = self.maps.boundary.ranges[0][0], ambient
             while high - low > 1e-3 * ambient:
@@ -516,9 +533,9 @@ class MeanValueDynamics(_Replaceable):
                 charge, asked = settled(pressure)
                 low, high = (pressure, high) if asked > pressure else (low, pressure)
         taps = step.maf_taps(self)
-        tail = charge / -np.expm1(-T / self.maf.time_constant)
         wait = self.power_delay_events
-        return np.array([pressure, pressure, tail, *[charge] * (taps + wait)])
+        past = [*[charge] * taps, *[T] * taps, *[charge] * wait]
+        return np.array([pressure, pressure, charge / T, *past])
 
     def _cycle(self, state: FloatArray, inputs: FloatArray) -> DynamicOperatingPoint:
         states, outputs = [], []

@@ -691,3 +691,25 @@ def test_a_throttle_that_leads_out_of_the_maps_is_refused(throttled):
 def test_a_flow_sensor_without_lag_has_no_events(maps):
     with pytest.raises(ParameterError, match="time_constant is 0 s"):
         maps.dynamics(maf=MafSensor(time_constant=0.0)).operating_point(COMMAND, 1500.0)
+
+
+def test_the_flow_reading_lags_exactly_while_the_speed_changes(maps):
+    model = maps.dynamics()
+    speed = np.concatenate((np.full(8, 1500.0), np.linspace(1550.0, 2300.0, 10)))
+    run = model.simulate(4.0, 110.0, speed)
+    flow, length = run["throttle_flow"].values, 120.0 / (4.0 * speed)
+    start = np.concatenate(([0.0], np.cumsum(length)))
+    tau, delay, reading = model.maf.time_constant, model.maf.delay, flow[0]
+    for k, T in enumerate(length):
+        # The flow is even over each event: between its jumps the lag has a closed form.
+        inner = start + delay
+        edges = np.concatenate(
+            ([0.0], inner[(inner > start[k]) & (inner < start[k] + T)] - start[k], [T])
+        )
+        integral = 0.0
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            event = np.searchsorted(start, start[k] + 0.5 * (a + b) - delay, side="right") - 1
+            u, h = flow[max(event, 0)], b - a
+            integral += u * h + (reading - u) * tau * -np.expm1(-h / tau)
+            reading = u + (reading - u) * np.exp(-h / tau)
+        assert run["maf"].values[k] == pytest.approx(integral / T, rel=1e-9)

@@ -101,7 +101,10 @@ def _error(
     lift, duration, speed = maps.region.sample(samples, seed)
     # Another stream than that of the points: the two must not be related.
     random = np.random.default_rng([seed, 1])
-    conditions = BoundaryConditions(*(random.uniform(*r, samples) for r in ranges))
+    drawn = np.array([random.uniform(*r, samples) for r in ranges])
+    # A fifth of the conditions are corners of the ranges, where a polynomial errs most.
+    corners = np.array([random.choice(r, samples) for r in ranges])
+    conditions = BoundaryConditions(*np.where(np.arange(samples) % 5 == 0, corners, drawn))
     truth = cycles(speed, lift, duration, conditions)  # type: ignore[operator]
     own = units_of_air(maps.engine, BoundaryConditions.of(maps.engine))
     units = units_of_air(maps.engine, conditions)

@@ -87,20 +87,35 @@ def _within(value: Any, low: float, high: float) -> Any:
 
 
 def _held(value: Any, low: float, high: float) -> Any:
-    """The value, or the bound that it passes: CasADi's splines are zero beyond their ends."""
+    """The value, or the bound that it passes by more than rounding.
+
+    Up to there the splines go on (`_spline`), so that their derivatives at a border are right
+    on either side of its last digit.
+    """
     import casadi
 
-    inner = casadi.if_else(value > high, high, value)
-    return casadi.if_else(inner < low, low, inner)
+    slack = _ROUNDING * (high - low)
+    inner = casadi.if_else(value > high + slack, high, value)
+    return casadi.if_else(inner < low - slack, low, inner)
 
 
 def _spline(surface: Surface, name: str) -> casadi.Function:
     import casadi
+    from scipy.interpolate import BSpline, make_interp_spline
 
+    # CasADi's splines are zero beyond their ends: move these out, the polynomials stay the same.
+    knots, c = [], surface.coefficients
+    for axis, t in enumerate(surface.knots):
+        reach = 4.0 * _ROUNDING * (t[-1] - t[0])
+        wider = np.concatenate((t[:4] - reach, t[4:-4], t[-4:] + reach))
+        at = (t[1:-3] + t[2:-2] + t[3:-1]) / 3.0  # one place for each coefficient
+        line = np.moveaxis(c, axis, 0)
+        on = BSpline(t, line, DEGREE)(at)
+        c = np.moveaxis(make_interp_spline(at, on, k=DEGREE, t=wider).c, 0, axis)
+        knots.append(wider)
     # CasADi runs through the outputs of a point first, then through the first coordinate.
-    c = surface.coefficients
     many = c.reshape(*c.shape[:3], -1)
     flat = np.moveaxis(many, -1, 0).ravel(order="F")
     return casadi.Function.bspline(
-        name, [t.tolist() for t in surface.knots], flat.tolist(), [DEGREE] * 3, many.shape[-1]
+        name, [t.tolist() for t in knots], flat.tolist(), [DEGREE] * 3, many.shape[-1]
     )

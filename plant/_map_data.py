@@ -12,6 +12,7 @@ import numpy as np
 from ._boundary_correction import BoundaryCorrection
 from ._engine_fields import engine_fields, field_unit, get_field
 from ._files import replaced
+from ._surface import DEGREE
 from .crank_angle import CrankAnglePlant
 from .errors import ParameterError
 from .map_results import BoundaryError
@@ -97,7 +98,8 @@ def load(
         raise ParameterError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, OSError, IndexError) as error:
         raise ParameterError(
-            f"{path} does not hold mean-value maps ({error!r}): save them again"
+            f"{path} does not hold mean-value maps ({type(error).__name__}): name a file that "
+            "save(...) wrote"
         ) from error
     if plant is not None:
         differences = _differences(maps, plant)
@@ -121,6 +123,23 @@ def _maps(cls: type[Maps], data: xr.Dataset) -> Maps:
                 f"{name} has shape {values.shape} and must have {shape}, all finite: the file is "
                 "damaged, save the maps again"
             )
+    for name, nodes in (("speed", speeds), ("lift", lifts), ("share", shares)):
+        if len(nodes) <= DEGREE or not np.all(np.diff(nodes) > 0.0):
+            raise ParameterError(
+                f"{name} holds {nodes.tolist()}, but must be at least {DEGREE + 1} rising values: "
+                "the file is damaged, save the maps again"
+            )
+    if (shares[0], shares[-1]) != (0.0, 1.0):
+        raise ParameterError(
+            f"share goes from {shares[0]:g} to {shares[-1]:g}, but must go from 0 to 1: the file "
+            "is damaged, save the maps again"
+        )
+    missing = [name for name in ("plant_fingerprint", *_OPTIONS) if name not in attrs]
+    if missing:
+        raise ParameterError(
+            f"the attributes {', '.join(missing)} are missing: the file is damaged, save the maps "
+            "again"
+        )
     region = OperatingRegion(
         lowest_speed_rpm=float(speeds[0]),
         highest_speed_rpm=float(speeds[-1]),
@@ -132,11 +151,17 @@ def _maps(cls: type[Maps], data: xr.Dataset) -> Maps:
     boundary = None
     if "boundary_ranges" in attrs:
         first, second, third = (data[f"{name}_node"].values.astype(float) for name in _COARSE)
+        changes = [data[f"{name}_change"].values.astype(float) for name in ("charge", "loss")]
+        if not all(np.isfinite(x).all() for x in (first, second, third, *changes)):
+            raise ParameterError(
+                "the changes with the boundary conditions are not all finite: the file is damaged, "
+                "save the maps again"
+            )
         boundary = BoundaryCorrection(
             engine,
             (first, second, third),
-            data["charge_change"].values.astype(float),
-            data["loss_change"].values.astype(float),
+            changes[0],
+            changes[1],
             tuple((low, high) for low, high in json.loads(attrs.pop("boundary_ranges"))),
             BoundaryError(**json.loads(attrs.pop("boundary_error"))),
         )

@@ -4,7 +4,9 @@ A line of a tensor-product spline is a mean, with weights that are not negative,
 of its coefficients. So the surface is monotone in a coordinate wherever these lines are. Where
 one of them goes against the values, although these rise (or fall) all around, its coefficients
 are moved, as little as needed, until neighbours there step with the values: a spline rises
-where its coefficients rise. All other places are left as they are.
+where its coefficients rise. All other places are left as they are. Where the nodes are too far
+apart for that, so that some would be left by more than is allowed, ever larger steps of the
+values count as level, and in the end the spline is left as it was.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ _MOST_SWEEPS = 1000
 _MOST_ROUNDS = 30
 _SLOPES = 48  # looked at from one node to the next
 _DEGREE = 3
+_SLACKS = (0.0, 1e-4, 1e-3, 1e-2)  # of the largest value: smaller steps have no direction
 
 
 def shape_preserving(
@@ -32,6 +35,7 @@ def shape_preserving(
     knots: tuple[FloatArray, ...],
     nodes: tuple[FloatArray, ...],
     values: FloatArray,
+    most_moved: float = np.inf,
 ) -> FloatArray:
     """Coefficients near the given ones whose lines do not go against the values.
 
@@ -43,10 +47,41 @@ def shape_preserving(
         Knots of the cubic spline and its nodes in each coordinate.
     values : ndarray
         Values at the nodes.
+    most_moved : float
+        Most by which the surface may leave a node, relative to the largest value.
     """
+    largest = float(np.abs(values).max())
+    for slack in _SLACKS:
+        c = _held_to(coefficients, knots, nodes, values, slack * largest)
+        at_nodes = c - coefficients
+        for axis, (t, x) in enumerate(zip(knots, nodes, strict=True)):
+            at_nodes = _on(at_nodes, t, x, axis)
+        if np.abs(at_nodes).max(initial=0.0) <= most_moved * largest:
+            return c
+    return np.array(coefficients)
+
+
+def _on(coefficients: FloatArray, knots: FloatArray, nodes: FloatArray, axis: int) -> FloatArray:
+    """Values along an axis at the nodes, from coefficients along it."""
+    from scipy.interpolate import BSpline
+
+    basis = BSpline.design_matrix(nodes, knots, _DEGREE)
+    line = np.moveaxis(coefficients, axis, 0)
+    on = np.asarray(basis @ line.reshape(len(line), -1), dtype=float)
+    return np.moveaxis(on.reshape(line.shape), 0, axis)
+
+
+def _held_to(
+    coefficients: FloatArray,
+    knots: tuple[FloatArray, ...],
+    nodes: tuple[FloatArray, ...],
+    values: FloatArray,
+    slack: float,
+) -> FloatArray:
+    """Coefficients that step with the values where these change by more than a slack."""
     c = np.array(coefficients)
     axes = [
-        _Axis.of(np.moveaxis(values, axis, 0), t, x)
+        _Axis.of(np.moveaxis(values, axis, 0), t, x, slack)
         for axis, (t, x) in enumerate(zip(knots, nodes, strict=True))
     ]
     enough = _ENOUGH * float(np.abs(values).max())
@@ -91,13 +126,13 @@ class _Axis:
     required: FloatArray  # (points, ...) sign of the slope; 0 for any
 
     @classmethod
-    def of(cls, values: FloatArray, knots: FloatArray, nodes: FloatArray) -> _Axis:
+    def of(cls, values: FloatArray, knots: FloatArray, nodes: FloatArray, slack: float) -> _Axis:
         """Read the signs off the values at the nodes."""
         from scipy.interpolate import BSpline
         from scipy.sparse import csr_array
 
         n = len(nodes)
-        direction = _directions(values, knots, nodes)
+        direction = _directions(values, knots, nodes, slack)
         inside = np.arange(_SLOPES) / _SLOPES
         x = (nodes[:-1, None] + np.diff(nodes)[:, None] * inside).ravel()
         lower = BSpline.design_matrix(x, knots[1:-1], _DEGREE - 1)  # of the derivative
@@ -124,9 +159,12 @@ class _Axis:
         return np.asarray((touched > 0.0) & (self.direction * steps < 0.0))
 
 
-def _directions(values: FloatArray, knots: FloatArray, nodes: FloatArray) -> FloatArray:
+def _directions(
+    values: FloatArray, knots: FloatArray, nodes: FloatArray, slack: float
+) -> FloatArray:
     """Sign that each step of the coefficients along the first axis must have; 0 for any."""
-    steps = np.sign(np.diff(values, axis=0))
+    steps = np.diff(values, axis=0)
+    steps = np.where(np.abs(steps) > slack, np.sign(steps), 0.0)
     result = np.zeros_like(steps)
     for j in range(len(nodes) - 1):
         # The slope's weight of this step lives on the three spans between these knots.

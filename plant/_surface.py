@@ -65,10 +65,16 @@ class Surface:
         return cls((knots[0], knots[1], knots[2]), np.ascontiguousarray(coefficients))
 
     @classmethod
-    def shaped(cls, nodes: tuple[FloatArray, FloatArray, FloatArray], values: FloatArray) -> Self:
+    def shaped(
+        cls,
+        nodes: tuple[FloatArray, FloatArray, FloatArray],
+        values: FloatArray,
+        most_moved: float = np.inf,
+    ) -> Self:
         """Return the spline near the values that has their shape, see `_shape`."""
         exact = cls.through(nodes, values)
-        return cls(exact.knots, shape_preserving(exact.coefficients, exact.knots, nodes, values))
+        shaped = shape_preserving(exact.coefficients, exact.knots, nodes, values, most_moved)
+        return cls(exact.knots, shaped)
 
     @cached_property
     def spline(self) -> NdBSpline:

@@ -140,6 +140,11 @@ def throttle_step(
         from .throttled import ThrottledMeanValuePlant
 
         mean_value = ThrottledMeanValuePlant.fit(plant)
+    if mean_value.engine != plant.engine:
+        raise ParameterError(
+            "the throttled mean-value plant belongs to another engine than the full plant: fit one "
+            "to this plant"
+        )
     mean_value.require_inputs(angles, speed_rpm)
     cam = mean_value.cam
     run = plant.start(speed_rpm, cam, angles[0])

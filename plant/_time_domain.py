@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from .mean_value_dynamics import MeanValueDynamics
 
-_ORDER = 3  # of the Padé fractions
+_ORDER = 4  # of the Padé fractions, whose numerators are of one less: nothing passes at once
 
 
 def time_system(model: MeanValueDynamics) -> control.NonlinearIOSystem:
@@ -29,7 +29,9 @@ def time_system(model: MeanValueDynamics) -> control.NonlinearIOSystem:
         rate, outputs, inside = function(x, u)
         if not float(inside):
             model.maps.region.require(*map(float, u))
-            model.require_pressure(float(x[0]))
+            model.refuse_pressure(float(x[0]))
+        if not x[0] > 0.0:
+            model.refuse_emptied(float(u[2]), float(outputs[0]))
         return np.asarray(rate).ravel(), np.asarray(outputs).ravel()
 
     def update(_t: float, x: FloatArray, u: FloatArray, _: Mapping[str, Any]) -> FloatArray:
@@ -95,7 +97,7 @@ def _delay(
     import casadi
     import control
 
-    unit = control.ss(control.tf(*control.pade(1.0, _ORDER)))
+    unit = control.ss(control.tf(*control.pade(1.0, _ORDER, _ORDER - 1)))
     inner = casadi.vertcat(*(state[f"{name}_{k + 1}"] for k in range(_ORDER)))
     change = (casadi.mtimes(unit.A, inner) + casadi.mtimes(unit.B, signal)) / delay
     for k in range(_ORDER):

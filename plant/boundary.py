@@ -42,7 +42,12 @@ class BoundaryConditions(_Replaceable):
 
     def __post_init__(self) -> None:
         for name, unit in zip(NAMES, UNITS, strict=True):
-            values = np.asarray(getattr(self, name), dtype=float)
+            try:
+                values = np.asarray(getattr(self, name), dtype=float)
+            except (TypeError, ValueError) as error:
+                raise ParameterError(
+                    f"{name} is {getattr(self, name)!r}, but must be a number or an array in {unit}"
+                ) from error
             bad = ~(np.isfinite(values) & (values > 0.0))
             if bad.any():
                 raise ParameterError(

@@ -89,7 +89,9 @@ class MapErrorField:
                     mesh = ax.pcolormesh(
                         self.edges[0], self.edges[axis], values.T, cmap="viridis", vmin=0.0
                     )
-                    figure.colorbar(mesh, ax=ax, label=f"largest {label} error (%)")
+                    bar = figure.colorbar(mesh, ax=ax, label=f"largest {label} error (%)")
+                    if bar.solids is not None:
+                        bar.solids.set_rasterized(False)  # no bitmap in a vector figure
                     ax.grid(False)
                     ax.set_ylabel("lift (mm)" if axis == 1 else "share of duration (1)")
             ticks = [750, 1000, 1500, 2000, 3000, 4500, 6000]

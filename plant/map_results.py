@@ -135,6 +135,8 @@ class MapError:
 class BoundaryError:
     """Error of the maps at random boundary conditions and operating points.
 
+    A fifth of the conditions are corners of the ranges.
+
     Relative to the largest charge and loss at the point's speed and the engine's own
     conditions, carried over with pressure and temperature.
 

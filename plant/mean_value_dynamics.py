@@ -8,10 +8,10 @@ throttle flows by the MAF sensor in a given shape, through its delay and lag. Th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,6 +96,15 @@ class MeanValueDynamics(_Replaceable):
     ------
     ParameterError
         For gains that are not positive or not one a cylinder, or a shut throttle.
+
+    Notes
+    -----
+    The manifold takes one implicit step an event, with uniform flow. Wide open that follows an
+    exact integration of the same charges within 0.04 % in pressure and 0.3 % in flow; at part
+    throttle a transient's flow is off by up to 12 % in an event (40 deg, 6000 rpm). Pulsation is
+    left out: at high load wide open the pressure is 0.1 to 0.3 kPa above the full plant's mean,
+    at part throttle and 1500 rpm the charge is up to 4 % high. `simulate` returns a Dataset, so
+    the reading of the pressure sensor is ``result["map"]``.
     """
 
     maps: MeanValuePlant
@@ -107,16 +116,34 @@ class MeanValueDynamics(_Replaceable):
     power_delay_deg: float = 360.0
 
     def __post_init__(self) -> None:
-        n = self.maps.engine.n_cylinders
-        gains = tuple(float(g) for g in self.gains) or (1.0,) * n
+        engine = self.maps.engine
+        n = engine.n_cylinders
+        for name, kind in (("maf", MafSensor), ("map", MapSensor), ("flow_shape", FlowShape)):
+            if not isinstance(getattr(self, name), kind):
+                raise ParameterError(
+                    f"{name} is {getattr(self, name)!r}, but must be a {kind.__name__}"
+                )
+        if isinstance(self.gains, str) or not isinstance(self.gains, Iterable):
+            raise ParameterError(
+                f"gains is {self.gains!r}, but must be a sequence of numbers: one a cylinder, or "
+                "none"
+            )
+        gains = tuple(self.gains)
+        if not gains and len(set(engine.cylinder_flow_factors)) > 1:
+            raise ParameterError(
+                f"the engine's cylinder_flow_factors are {engine.cylinder_flow_factors}, but the "
+                "maps are means over the cylinders: give gains, the charge of each cylinder over "
+                "that mean (from a steady cycle of the full plant)"
+            )
+        gains = gains or (1.0,) * n
         if len(gains) != n:
             raise ParameterError(
                 f"gains has {len(gains)} values, but the engine has {n} cylinders: give one a "
                 "cylinder, or none"
             )
-        for i, gain in enumerate(gains):
-            positive(f"gains[{i}]", gain, "1")
-        object.__setattr__(self, "gains", gains)
+        object.__setattr__(
+            self, "gains", tuple(positive(f"gains[{i}]", g, "1") for i, g in enumerate(gains))
+        )
         throttle = self.maps.engine.throttle
         in_range(
             "throttle_deg",
@@ -205,7 +232,12 @@ class MeanValueDynamics(_Replaceable):
         ParameterError, InfeasibleProfileError
             Where the maps do not hold.
         """
-        state = np.asarray(state, dtype=float)
+        state, inputs = np.asarray(state, dtype=float), np.asarray(inputs, dtype=float)
+        if inputs.shape != (len(step.INPUTS),):
+            raise ParameterError(
+                f"the inputs have shape {inputs.shape}, but must be lift, duration and speed"
+            )
+        positive("gain", gain, "1")
         if state.shape != (self.event.size1_in(0),):
             raise ParameterError(
                 f"the state has shape {state.shape}, but must have ({self.event.size1_in(0)},): "
@@ -213,17 +245,29 @@ class MeanValueDynamics(_Replaceable):
             )
         following, outputs, inside = self.event(state, np.asarray(inputs, dtype=float), gain)
         if not float(inside):
-            self.maps.region.require(*np.asarray(inputs, dtype=float))
-            self.require_pressure(float(np.ravel(state)[0]))
+            self.maps.region.require(*inputs)
+            self.refuse_pressure(float(state[0]))
+        if not float(following[0]) > 0.0:
+            self.refuse_emptied(float(inputs[2]), float(outputs[0]))
         return np.asarray(following).ravel(), np.asarray(outputs).ravel()
 
-    def require_pressure(self, pressure: float) -> None:
+    def refuse_pressure(self, pressure: float) -> NoReturn:
         """Refuse a manifold pressure (Pa) at which the maps were found not to hold."""
         low, high = self.maps.boundary.ranges[0] if self.maps.boundary else (0.0, np.inf)
         raise ParameterError(
             f"the manifold pressure is {pressure:g} Pa, which is beyond the ambient pressures "
             f"that the maps cover, [{low:g}, {high:g}] Pa: open the throttle, or fit the "
             "boundary conditions over a wider range"
+        )
+
+    def refuse_emptied(self, speed_rpm: float, charge: float) -> NoReturn:
+        """Refuse charges (kg) that would empty the manifold."""
+        most = self.throttle_area * event_time(speed_rpm, self.n_cylinders)
+        raise ParameterError(
+            f"the throttle at {self.throttle_deg:g} deg passes at most {1e6 * most:.1f} mg an "
+            f"event at {speed_rpm:g} rpm, but the commands ask for {1e6 * charge:.1f} mg, which "
+            "would empty the manifold: open the throttle, or use maps with boundary conditions, "
+            "whose charge falls with the manifold pressure"
         )
 
     def operating_point(
@@ -520,12 +564,7 @@ class MeanValueDynamics(_Replaceable):
 
         charge, pressure = settled(ambient)
         if not self.maps.boundary and charge >= self.throttle_area * T:
-            raise ParameterError(
-                f"the throttle at {self.throttle_deg:g} deg passes at most "
-                f"{1e6 * self.throttle_area * T:.1f} mg an event at {inputs[0, 2]:g} rpm, but the "
-                f"commands ask for {1e6 * charge:.1f} mg: open the throttle, or use maps with "
-                "boundary conditions, whose charge falls with the manifold pressure"
-            )
+            self.refuse_emptied(float(inputs[0, 2]), charge)
         if self.maps.boundary:  # the charge falls with the pressure, and the maps end somewhere
             low, high = self.maps.boundary.ranges[0][0], ambient
             while high - low > 1e-3 * ambient:

@@ -195,6 +195,13 @@ def compare_pumping(
         If the engines differ in more than what drives their valves, or speeds or charges do
         not fit.
     """
+    for name in ("runner", "orifice"):
+        ours, theirs = maps.provenance[name], throttled.provenance[name]
+        if ours != theirs:
+            raise ParameterError(
+                f"{name} is {ours} for the camless maps and {theirs} for the throttled plant: fit "
+                "both to plants with the same options"
+            )
     if maps.engine != throttled.engine:
         raise ParameterError(
             "the camless maps and the throttled plant belong to different engines: fit both to "

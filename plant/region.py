@@ -215,4 +215,11 @@ def _up(value: float) -> float:
 
 
 def _arrays(*values: ArrayLike) -> tuple[FloatArray, ...]:
-    return tuple(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in values)))
+    try:
+        arrays = [np.asarray(value, dtype=float) for value in values]
+        return tuple(np.broadcast_arrays(*arrays))
+    except (TypeError, ValueError) as error:
+        raise ParameterError(
+            f"the operating points are not numbers of shapes that fit each other ({error}): give "
+            "numbers, or arrays that broadcast"
+        ) from error

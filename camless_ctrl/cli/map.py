@@ -92,6 +92,8 @@ def map_(
         raise ParameterError(f"--seed is {seed}, but must be 0 or more")
     if save is not None:
         require_place(save)
+        if json is not None and save.absolute() == json.absolute():
+            raise ParameterError(f"--save and --json both name {save}: give them different files")
     plant = CrankAnglePlant()
     with reserved_file(json) as file:
         with bar("map", quiet) as progress:

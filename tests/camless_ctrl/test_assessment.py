@@ -7,9 +7,11 @@ import pytest
 
 from camless_ctrl.assessment import (
     as_dict,
+    assess_boundary,
     assess_load_step,
     assess_maps,
     assess_robustness,
+    assess_throttle_steps,
     assess_validation,
     least,
     sentence,
@@ -101,9 +103,12 @@ def test_every_requirement_is_assessed_by_one_function():
     error = SimpleNamespace(charge_rms=0.0, charge_max=0.0, loss_rms=0.0, loss_max=0.0,
                             worst_charge="here", worst_loss="there")  # fmt: skip
     figures = [SimpleNamespace(relative_error=0.0, known_exception="")]
+    step = SimpleNamespace(rms_each=np.array([0.01]), throttles_deg=(20.0, 40.0), speed_rpm=1500.0)
     found = [
         *assess_validation(SimpleNamespace(figures=figures, claims=[], rms=0.0)),
         *assess_maps(error),
+        *assess_boundary(error),
+        *assess_throttle_steps([step]),
         *assess_robustness([speed(750, 0.5, 0.6)]),
         *assess_load_step([run_of([0.0] * 8)]),
     ]

@@ -1,4 +1,5 @@
 import dataclasses
+from itertools import pairwise
 
 import control
 import numpy as np
@@ -707,7 +708,7 @@ def test_the_flow_reading_lags_exactly_while_the_speed_changes(maps):
             ([0.0], inner[(inner > start[k]) & (inner < start[k] + T)] - start[k], [T])
         )
         integral = 0.0
-        for a, b in zip(edges[:-1], edges[1:], strict=True):
+        for a, b in pairwise(edges):
             event = np.searchsorted(start, start[k] + 0.5 * (a + b) - delay, side="right") - 1
             u, h = flow[max(event, 0)], b - a
             integral += u * h + (reading - u) * tau * -np.expm1(-h / tau)

@@ -237,6 +237,10 @@ class MeanValueDynamics(_Replaceable):
             raise ParameterError(
                 f"the inputs have shape {inputs.shape}, but must be lift, duration and speed"
             )
+        if not np.isfinite(state).all():
+            raise ParameterError(
+                "the state holds values that are not finite: take one from operating_point(...)"
+            )
         positive("gain", gain, "1")
         if state.shape != (self.event.size1_in(0),):
             raise ParameterError(

@@ -195,6 +195,11 @@ def compare_pumping(
         If the engines differ in more than what drives their valves, or speeds or charges do
         not fit.
     """
+    if maps.engine != throttled.engine:
+        raise ParameterError(
+            "the camless maps and the throttled plant belong to different engines: fit both to "
+            "full plants of one engine"
+        )
     for name in ("runner", "orifice"):
         ours, theirs = maps.provenance[name], throttled.provenance[name]
         if ours != theirs:
@@ -202,11 +207,6 @@ def compare_pumping(
                 f"{name} is {ours} for the camless maps and {theirs} for the throttled plant: fit "
                 "both to plants with the same options"
             )
-    if maps.engine != throttled.engine:
-        raise ParameterError(
-            "the camless maps and the throttled plant belong to different engines: fit both to "
-            "full plants of one engine"
-        )
     low, high = _common_speeds(maps, throttled)
     speeds = _rising("speeds_rpm", speeds_rpm, "rpm")
     for k, speed in enumerate(speeds.tolist()):

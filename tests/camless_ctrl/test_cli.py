@@ -134,6 +134,10 @@ def test_map_tells_its_size_time_and_error_and_saves_maps_that_can_be_loaded(tmp
     assert main(["map", *point, "--load", "missing.nc"]) == 2
     assert "missing.nc" in capsys.readouterr().err
     assert main(["map", *point, "--save", "no/m.nc"]) == 2
+    capsys.readouterr()
+    assert main(["map", *point, "--save", "same", "--json", "same"]) == 2
+    assert "both name same" in capsys.readouterr().err
+    assert not (tmp_path / "same").exists()
     assert not (tmp_path / "no").exists()
 
 

@@ -227,3 +227,22 @@ def test_what_cannot_be_asked_for(maps):
     plain = maps.at(BoundaryConditions(0.9e5, 290.0, 1.1e5))
     with pytest.raises(ParameterError, match="with_boundary_conditions"):
         plain.casadi_function(boundary_conditions=True)
+
+
+def test_slopes_at_the_shortest_duration_are_those_inside(maps):
+    # The share of a border is a hair below 0 or above it, by rounding.
+    random = np.random.default_rng(4)
+    r = maps.region
+    lift = random.uniform(r.lowest_lift_mm, r.highest_lift_mm, 300)
+    speed = random.uniform(r.lowest_speed_rpm, r.highest_speed_rpm, 300)
+    duration = r.shortest_deg(lift, speed)
+    for outside in ("nan", "hold"):
+        x = casadi.MX.sym("x", 3)
+        charge, _, inside = maps.casadi_function(outside=outside)(x[0], x[1], x[2])
+        slope = casadi.Function("slope", [x], [casadi.jacobian(charge, x), inside])
+        gradient = maps.charge_gradient(lift, duration, speed)
+        for k, point in enumerate(np.stack((lift, duration, speed), axis=1)):
+            found, holds = slope(point)
+            assert float(holds) == 1.0
+            expected = [gradient.lift[k], gradient.duration[k], gradient.speed[k]]
+            np.testing.assert_allclose(np.ravel(found), expected, rtol=1e-5)

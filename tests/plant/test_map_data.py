@@ -199,3 +199,26 @@ def test_a_saved_file_replaces_the_old_one_and_may_be_read_by_others(maps, tmp_p
     assert MeanValuePlant.load(path).engine == ENGINE
     assert path.stat().st_mode & 0o777 == 0o644
     assert os.listdir(tmp_path) == ["maps.nc"]
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda d: d.assign_coords(share=0.5 * d["share"]), "share goes from 0 to 0.5"),
+        (lambda d: d.assign_coords(speed=d["speed"].values[::-1].copy()), "speed holds"),
+        (lambda d: d.isel(lift=slice(0, 3)), "lift holds .* at least 4 rising"),
+        (lambda d: d.assign(charge_change=d["charge_change"] * np.nan), "not all finite"),
+        (lambda d: d.assign(air_charge=d["air_charge"] * np.nan), "air_charge"),
+        (
+            lambda d: xr.Dataset(
+                d.data_vars, d.coords, {k: v for k, v in d.attrs.items() if k != "runner"}
+            ),
+            "attributes runner are missing",
+        ),
+    ],
+)
+def test_a_damaged_file_is_refused_when_it_is_read(saved, tmp_path, damage, said):
+    with xr.open_dataset(saved, engine="scipy") as data:
+        damage(data.load()).to_netcdf(tmp_path / "damaged.nc", engine="scipy")
+    with pytest.raises(ParameterError, match=said):
+        MeanValuePlant.load(tmp_path / "damaged.nc")

@@ -153,6 +153,10 @@ def test_the_infeasible_corner_is_refused_or_nan(maps):
     value = maps.air_charge([8.0, 8.0], [60.0, 160.0], 6000.0, outside="nan")
     assert np.isnan(value).tolist() == [True, False]
     assert np.isnan(maps.charge_gradient(8.0, 60.0, 6000.0, outside="nan").lift)
+    with pytest.raises(ParameterError, match="not numbers of shapes that fit"):
+        maps.air_charge("three", 100.0, 1500.0)
+    with pytest.raises(ParameterError, match="not numbers of shapes that fit"):
+        maps.air_charge([1.0, 2.0], [100.0, 110.0, 120.0], 1500.0)
     with pytest.raises(ParameterError, match="outside is 'clip'"):
         maps.air_charge(3.0, 100.0, 1500.0, outside="clip")
 
@@ -236,5 +240,7 @@ def test_a_map_of_chosen_region_and_bad_ranges():
         MeanValuePlant.fit(PLANT, most_points=30)
     with pytest.raises(ParameterError, match="tolerance is 0"):
         MeanValuePlant.fit(PLANT, tolerance=0.0)
+    with pytest.raises(ParameterError, match="must be a CrankAnglePlant"):
+        MeanValuePlant.fit(PLANT.engine)
     with pytest.raises(ParameterError, match="must be 'camless'"):
         MeanValuePlant.fit(CrankAnglePlant(profile="conventional"))

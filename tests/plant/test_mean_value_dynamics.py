@@ -661,56 +661,59 @@ def test_bad_input_is_refused(maps, call, message):
         call(maps.dynamics(gains=GAINS))
 
 
-@pytest.mark.parametrize("domain", ["event", "time"])
-def test_an_infeasible_command_is_refused(maps, domain):
-    dynamics = maps.dynamics()
-    infeasible = 7.0, 60.0, 6000.0
-    with pytest.raises(InfeasibleProfileError, match="duration"):
-        dynamics.operating_point(ValveCommand(*infeasible[:2]), infeasible[2])
-    with pytest.raises(InfeasibleProfileError, match="duration"):
-        dynamics.simulate([3.0, 7.0], [150.0, 60.0], 6000.0)
-    system = dynamics.as_nonlinear_system(domain)
-    with pytest.raises(InfeasibleProfileError, match="duration"):
-        system.dynamics(0.0, np.full(system.nstates, 1e5), infeasible)
+def test_a_manifold_that_the_charges_would_empty_is_refused(maps):
+    # 2 mm and 200 deg take more than twice what 25 deg of throttle pass at sonic speed.
+    model = maps.dynamics(throttle_deg=25.0)
+    passed = 1e6 * ENGINE.throttle.area(25.0) * event_time(1500.0, 4)
+    refusal = rf"passes at most {passed:.1f} mg.*empty the manifold: open the throttle"
+    first = model.operating_point(ValveCommand(2.0, 90.0), 1500.0)
+    with pytest.raises(ParameterError, match=refusal):
+        model.simulate(2.0, [200.0] * 30, 1500.0, first=first)
+    with pytest.raises(ParameterError, match=refusal):
+        model.operating_point(ValveCommand(2.0, 200.0), 1500.0)
+    system = model.as_nonlinear_system("time")
+    start = np.zeros(system.nstates)
+    start[:3] = first.states[0, 0], first.outputs[0, 5], first.states[0, 0]
+    time = np.linspace(0.0, 0.6, 60)
+    inputs = np.array([[2.0], [200.0], [1500.0]]) * np.ones(60)
+    with pytest.raises(ParameterError, match=refusal):
+        control.input_output_response(system, time, inputs, start, solve_ivp_method="BDF")
 
 
-@pytest.mark.parametrize("domain", ["event", "time"])
-@pytest.mark.parametrize("pressure", [20e3, 130e3])
-def test_a_pressure_beyond_the_maps_is_refused(throttled, domain, pressure):
-    system = throttled.dynamics().as_nonlinear_system(domain)
-    state = np.full(system.nstates, 1e-4)
-    state[0] = pressure
-    with pytest.raises(ParameterError, match=rf"pressure is {pressure:g} Pa.*\[35000, 105000\]"):
-        system.dynamics(0.0, state, [3.0, 120.0, 1500.0])
+def test_an_engine_of_unequal_cylinders_asks_for_their_gains(maps):
+    engine = ENGINE.replace(cylinder_flow_factors=(1.0, 0.8, 1.0, 1.2))
+    unequal = dataclasses.replace(maps, engine=engine)
+    with pytest.raises(ParameterError, match=r"means over the cylinders: give gains"):
+        unequal.dynamics()
+    point = unequal.dynamics(gains=GAINS).operating_point(ValveCommand(3.0, 120.0), 1500.0)
+    np.testing.assert_allclose(
+        point.output("air_charge") / maps.air_charge(3.0, 120.0, 1500.0), GAINS, rtol=1e-9
+    )
 
 
-def test_a_throttle_that_leads_out_of_the_maps_is_refused(throttled):
-    with pytest.raises(ParameterError, match="open the throttle, or fit"):
-        throttled.dynamics(throttle_deg=16.0).operating_point(ValveCommand(3.0, 180.0), 1500.0)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"gains": 1.0}, "gains is 1.0, but must be a sequence"),
+        ({"gains": "abcd"}, "gains is 'abcd'"),
+        ({"maf": 1}, "maf is 1, but must be a MafSensor"),
+        ({"map": MafSensor()}, "must be a MapSensor"),
+        ({"flow_shape": 1}, "must be a FlowShape"),
+    ],
+)
+def test_parts_of_another_kind_are_refused(maps, options, said):
+    with pytest.raises(ParameterError, match=said):
+        maps.dynamics(**options)
 
 
-def test_a_flow_sensor_without_lag_has_no_events(maps):
-    with pytest.raises(ParameterError, match="time_constant is 0 s"):
-        maps.dynamics(maf=MafSensor(time_constant=0.0)).operating_point(COMMAND, 1500.0)
-
-
-def test_the_flow_reading_lags_exactly_while_the_speed_changes(maps):
+def test_inputs_and_gains_that_are_no_inputs_are_refused(maps):
     model = maps.dynamics()
-    speed = np.concatenate((np.full(8, 1500.0), np.linspace(1550.0, 2300.0, 10)))
-    run = model.simulate(4.0, 110.0, speed)
-    flow, length = run["throttle_flow"].values, 120.0 / (4.0 * speed)
-    start = np.concatenate(([0.0], np.cumsum(length)))
-    tau, delay, reading = model.maf.time_constant, model.maf.delay, flow[0]
-    for k, T in enumerate(length):
-        # The flow is even over each event: between its jumps the lag has a closed form.
-        inner = start + delay
-        edges = np.concatenate(
-            ([0.0], inner[(inner > start[k]) & (inner < start[k] + T)] - start[k], [T])
-        )
-        integral = 0.0
-        for a, b in pairwise(edges):
-            event = np.searchsorted(start, start[k] + 0.5 * (a + b) - delay, side="right") - 1
-            u, h = flow[max(event, 0)], b - a
-            integral += u * h + (reading - u) * tau * -np.expm1(-h / tau)
-            reading = u + (reading - u) * np.exp(-h / tau)
-        assert run["maf"].values[k] == pytest.approx(integral / T, rel=1e-9)
+    state = model.operating_point(ValveCommand(3.0, 120.0), 1500.0).states[0]
+    with pytest.raises(ParameterError, match=r"inputs have shape \(2,\)"):
+        model.advance(state, [3.0, 120.0])
+    with pytest.raises(ParameterError, match="gain is nan"):
+        model.advance(state, [3.0, 120.0, 1500.0], np.nan)
+    with pytest.raises(ParameterError, match="state has shape"):
+        model.advance(state[:-1], [3.0, 120.0, 1500.0])
+    with pytest.raises(ParameterError, match="state holds values that are not finite"):
+        model.advance(np.full_like(state, np.nan), [3.0, 120.0, 1500.0])

@@ -1,5 +1,4 @@
 import dataclasses
-from itertools import pairwise
 
 import control
 import numpy as np
@@ -7,7 +6,6 @@ import pytest
 
 from plant import (
     CrankAnglePlant,
-    InfeasibleProfileError,
     MafSensor,
     MapSensor,
     ParameterError,

@@ -130,9 +130,9 @@ def test_what_does_not_fit_is_refused(comparison, maps, throttled):
         compare_pumping(maps, throttled, charges=[2e-4, 1e-4])
     hot = CrankAnglePlant(Engine.paper().replace(temperature=316.0), profile="conventional")
     other = ThrottledMeanValuePlant.fit(hot, speeds_rpm=[1000.0, 1500.0, 2000.0, 2500.0], points=8)
-    other = dataclasses.replace(maps, provenance={**maps.provenance, "runner": "False"})
+    bare = dataclasses.replace(maps, provenance={**maps.provenance, "runner": "False"})
     with pytest.raises(ParameterError, match="runner is False for the camless maps and True"):
-        compare_pumping(other, throttled)
+        compare_pumping(bare, throttled)
     with pytest.raises(ParameterError, match="different engines"):
         compare_pumping(maps, other)
 

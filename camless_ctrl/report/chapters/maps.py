@@ -152,9 +152,9 @@ def _surface_figure(context: Context, maps: MeanValuePlant) -> Figure:
     return Figure(
         "surfaces",
         Text(
-            "The maps at 1500 rpm as in Figures 9 and 10 of the paper. Beyond the saturation "
-            "lift the charge hardly grows, while the loss falls: the highest lift is the one "
-            "that pumps least."
+            "The maps at 1500 rpm as in Figures 9 and 10 of the paper (black: lift saturation; "
+            "dashed: flow reversal; grey: infeasible). Beyond the saturation lift the charge "
+            "hardly grows, while the loss falls: the highest lift is the one that pumps least."
         ),
         "Air charge and pumping loss over duration and lift as surfaces.",
         context.draw(figure),

@@ -245,4 +245,4 @@ def test_slopes_at_the_shortest_duration_are_those_inside(maps):
             found, holds = slope(point)
             assert float(holds) == 1.0
             expected = [gradient.lift[k], gradient.duration[k], gradient.speed[k]]
-            np.testing.assert_allclose(np.ravel(found), expected, rtol=1e-5)
+            np.testing.assert_allclose(found.full().ravel(), expected, rtol=1e-5)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from ._boundary_correction import BoundaryCorrection, fit_correction, units_of_air
+from ._map_grid import as_range
 from ._progress import Progress
 from .boundary import NAMES, UNITS, BoundaryConditions
 from .crank_angle import CrankAnglePlant
@@ -39,7 +40,7 @@ def with_boundary_conditions(
             f"the plant is {plant.fingerprint}, but the maps were fitted to "
             f"{maps.provenance['plant_fingerprint']}: give the plant that was fitted"
         )
-    ranges = tuple((float(low), float(high)) for low, high in ranges)
+    ranges = tuple(as_range(n, r, u) for n, r, u in zip(NAMES, ranges, UNITS, strict=True))
     for name, unit, (low, high) in zip(NAMES, UNITS, ranges, strict=True):
         own = getattr(maps.engine, name)
         if not 0.0 < low <= own <= high < np.inf or low == high:

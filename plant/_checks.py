@@ -9,7 +9,11 @@ from collections.abc import Iterable
 from numbers import Real
 from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from .errors import ParameterError
+from .kinematics import FloatArray
 
 T = TypeVar("T")
 
@@ -80,6 +84,24 @@ def one_of(name: str, value: Any, allowed: Iterable[str]) -> str:
             + _suggestion(value, choices)
         )
     return str(value)
+
+
+def broadcast(what: str, *values: ArrayLike) -> tuple[FloatArray, ...]:
+    """Return values as arrays of numbers of one shape.
+
+    Raises
+    ------
+    ParameterError
+        If one is no number, or the shapes do not fit each other.
+    """
+    try:
+        arrays = [np.asarray(value, dtype=float) for value in values]
+        return tuple(np.broadcast_arrays(*arrays))
+    except (TypeError, ValueError) as error:
+        raise ParameterError(
+            f"{what} are not numbers of shapes that fit each other ({error}): give numbers, or "
+            "arrays that broadcast"
+        ) from error
 
 
 def replace_fields(instance: T, changes: dict[str, Any]) -> T:

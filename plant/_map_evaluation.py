@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._boundary_correction import BoundaryCorrection, units_of_air
+from ._checks import broadcast
 from ._map_grid import BoxCoordinates
 from ._surface import Lines, Surface
 from .boundary import BoundaryConditions
@@ -141,7 +142,7 @@ class MapEvaluation:
 
     def largest_charge(self, speed_rpm: ArrayLike) -> FloatArray:
         """Largest charge at a speed over all lifts and durations, kg per event."""
-        speeds = np.asarray(speed_rpm, dtype=float)
+        (speeds,) = broadcast("speeds", speed_rpm)
         self._require(self.region.highest_lift_mm, speeds)
         # Lifts of the nodes and between them; the charge is flat in lift where it is largest.
         lifts = np.geomspace(self.lifts_mm[0], self.lifts_mm[-1], 3 * len(self.lifts_mm))
@@ -152,7 +153,7 @@ class MapEvaluation:
 
     def largest_loss(self, speed_rpm: ArrayLike) -> FloatArray:
         """Largest pumping loss at a speed over all lifts and durations, J per event."""
-        speeds = np.asarray(speed_rpm, dtype=float)
+        (speeds,) = broadcast("speeds", speed_rpm)
         self._require(self.region.highest_lift_mm, speeds)
         lift, speed = np.meshgrid(self.lifts_mm, speeds.ravel())
         lines = self._loss.lines(self.box.slowness(speed.ravel()), np.log(lift.ravel()))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._checks import in_range, whole
+from ._checks import in_range, positive, whole
+from .errors import ParameterError
 from .kinematics import FloatArray
 from .parameters import Engine
 from .region import OperatingRegion
@@ -99,18 +101,37 @@ def map_region(
 ) -> OperatingRegion:
     """Region of a map. Arguments as for a map's fit."""
     v = engine.valvetrain
-    lifts = lift_range_mm or (
+    speeds = as_range("speed_range_rpm", speed_range_rpm, "rpm")
+    lifts = (
         max(LIFT_RANGE_MM[0], v.lowest_lift_mm),
         min(LIFT_RANGE_MM[1], v.maximum_lift_mm),
     )
+    if lift_range_mm is not None:
+        lifts = as_range("lift_range_mm", lift_range_mm, "mm")
     return OperatingRegion(
-        lowest_speed_rpm=float(speed_range_rpm[0]),
-        highest_speed_rpm=float(speed_range_rpm[1]),
-        lowest_lift_mm=float(lifts[0]),
-        highest_lift_mm=float(lifts[1]),
-        longest_deg=float(longest_deg),
+        lowest_speed_rpm=speeds[0],
+        highest_speed_rpm=speeds[1],
+        lowest_lift_mm=lifts[0],
+        highest_lift_mm=lifts[1],
+        longest_deg=in_range("longest_deg", longest_deg, 0.0, 720.0, "deg", open_low=True),
         valvetrain=v,
     )
+
+
+def as_range(name: str, value: tuple[float, float], unit: str) -> tuple[float, float]:
+    """Return a range as two floats after checking that it is a pair of positive numbers.
+
+    Raises
+    ------
+    ParameterError
+        If it is not.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) != 2:
+        raise ParameterError(
+            f"{name} is {value!r}, but must be two numbers in {unit}: the lowest and the highest"
+        )
+    low, high = (positive(f"{name}[{k}]", end, unit) for k, end in enumerate(value))
+    return low, high
 
 
 def check_refinement(tolerance: float, most_points: int) -> tuple[float, int]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import in_range
+from ._checks import broadcast, in_range
 from .errors import ParameterError
 from .kinematics import FloatArray
 from .map_results import ChargeInverse
@@ -28,11 +28,7 @@ def duration_for_charge(
     maps: MeanValuePlant, charge: ArrayLike, lift_mm: ArrayLike, speed_rpm: ArrayLike
 ) -> ChargeInverse:
     """See `MeanValuePlant.duration_for_charge`."""
-    wanted, lift, speed = np.broadcast_arrays(
-        np.asarray(charge, dtype=float),
-        np.asarray(lift_mm, dtype=float),
-        np.asarray(speed_rpm, dtype=float),
-    )
+    wanted, lift, speed = broadcast("charge, lift and speed", charge, lift_mm, speed_rpm)
     shape = wanted.shape
     wanted, lift, speed = wanted.ravel(), lift.ravel(), speed.ravel()
     if not np.isfinite(wanted).all():
@@ -91,10 +87,8 @@ def lift_saturation(
     """
     in_range("share", share, 0.0, 1.0, "1", open_low=True, open_high=True)
     region = maps.region
-    speed, duration = np.broadcast_arrays(
-        np.asarray(speed_rpm, dtype=float),
-        np.asarray(region.longest_deg if duration_deg is None else duration_deg, dtype=float),
-    )
+    duration = region.longest_deg if duration_deg is None else duration_deg
+    speed, duration = broadcast("speed and duration", speed_rpm, duration)
     shape = speed.shape
     speed, duration = speed.ravel(), duration.ravel()
     region.require(region.highest_lift_mm, region.longest_deg, speed)

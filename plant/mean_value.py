@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._boundary_correction import RANGES
+from ._checks import broadcast
 from ._map_evaluation import MapEvaluation
 from ._map_grid import (
     LONGEST_DEG,
@@ -291,9 +292,7 @@ class MeanValuePlant(MapEvaluation):
 
         NaN where the charge still rises at the longest duration.
         """
-        speed, lift = np.broadcast_arrays(
-            np.asarray(speed_rpm, dtype=float), np.asarray(lift_mm, dtype=float)
-        )
+        speed, lift = broadcast("speed and lift", speed_rpm, lift_mm)
         at = self.charge_lines(lift.ravel(), speed.ravel()).peak().at
         duration = self.region.duration_deg(lift.ravel(), at, speed.ravel())
         return np.where(at < 1.0, duration, np.nan).reshape(speed.shape)[()]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import _event_step as step
-from ._checks import in_range, one_of, positive
+from ._checks import broadcast, in_range, one_of, positive
 from ._lifting import Matrices, lifted
 from .air_path import FlowShape, event_time
 from .errors import ConvergenceError, ParameterError
@@ -340,7 +340,7 @@ class MeanValueDynamics(_Replaceable):
         import xarray as xr
 
         given = np.broadcast_arrays(
-            *(np.atleast_1d(np.asarray(v, dtype=float)) for v in (lift_mm, duration_deg, speed_rpm))
+            *map(np.atleast_1d, broadcast("the inputs", lift_mm, duration_deg, speed_rpm))
         )
         inputs = np.stack(given, axis=-1)
         if inputs.ndim != 2 or not len(inputs):

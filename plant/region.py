@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._checks import in_range, one_of, positive, whole
+from ._checks import broadcast, in_range, one_of, positive, whole
 from .errors import InfeasibleProfileError, ParameterError
 from .kinematics import FloatArray
 from .parameters import Valvetrain
@@ -106,7 +106,7 @@ class OperatingRegion:
         self, lift_mm: ArrayLike, duration_deg: ArrayLike, speed_rpm: ArrayLike
     ) -> np.ndarray:
         """Whether points lie in the region, bool, of their broadcast shape."""
-        lift, duration, speed = _arrays(lift_mm, duration_deg, speed_rpm)
+        lift, duration, speed = broadcast("the operating points", lift_mm, duration_deg, speed_rpm)
         # A comparison with NaN is False: not a number is not feasible.
         return (
             (speed >= self.lowest_speed_rpm)
@@ -119,7 +119,7 @@ class OperatingRegion:
 
     def share(self, lift_mm: ArrayLike, duration_deg: ArrayLike, speed_rpm: ArrayLike) -> Share:
         """Share of the way from the shortest (0) to the longest duration (1)."""
-        lift, duration, speed = _arrays(lift_mm, duration_deg, speed_rpm)
+        lift, duration, speed = broadcast("the operating points", lift_mm, duration_deg, speed_rpm)
         shortest = self.shortest_deg(lift, speed)
         span = self.longest_deg - shortest
         value = (duration - shortest) / span
@@ -150,7 +150,7 @@ class OperatingRegion:
         InfeasibleProfileError
             Naming the highest lift and the shortest duration, for the infeasible corner.
         """
-        lift, duration, speed = _arrays(lift_mm, duration_deg, speed_rpm)
+        lift, duration, speed = broadcast("the operating points", lift_mm, duration_deg, speed_rpm)
         outside = ~self.feasible(lift, duration, speed)
         if not outside.any():
             return
@@ -212,14 +212,3 @@ def _shortest_time(valvetrain: Valvetrain) -> tuple[float, float]:
 def _up(value: float) -> float:
     """Round up to a tenth, so that following the advice suffices."""
     return math.ceil(10.0 * value) / 10.0
-
-
-def _arrays(*values: ArrayLike) -> tuple[FloatArray, ...]:
-    try:
-        arrays = [np.asarray(value, dtype=float) for value in values]
-        return tuple(np.broadcast_arrays(*arrays))
-    except (TypeError, ValueError) as error:
-        raise ParameterError(
-            f"the operating points are not numbers of shapes that fit each other ({error}): give "
-            "numbers, or arrays that broadcast"
-        ) from error

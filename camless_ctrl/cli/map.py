@@ -76,6 +76,7 @@ def map_(
     Example: camless map --speed-rpm 1500 3000 --lift-mm 2 4 --duration-deg 90 180
     --save maps.nc
     """
+    import math
     import time
     from dataclasses import asdict
 
@@ -116,7 +117,7 @@ def map_(
                     ) from fault
             maps.largest_charge(maps.speeds_rpm)  # the surfaces are made on first use
             maps.largest_loss(maps.speeds_rpm)
-            build_seconds = time.perf_counter() - begin
+            build_seconds = time.perf_counter() - begin if load is None else math.nan  # null
             if boundary_conditions and maps.boundary is None:
                 maps = maps.with_boundary_conditions(plant, progress=step("boundary conditions"))
             error = maps.error_against(plant, samples=SAMPLES, seed=seed, progress=step("error"))
@@ -148,7 +149,8 @@ def map_(
         ["speed rpm", "lift mm", "duration deg", "delivered mm", "charge mg", "loss J"],
         [_shown(row) for row in rows],
     )
-    console.print(f"{maps}, built in {build_seconds:.1f} s", markup=False)
+    how = f"built in {build_seconds:.1f} s" if load is None else f"read from {load}"
+    console.print(f"{maps}, {how}", markup=False)
     console.print(f"{error}", markup=False)
     if maps.boundary is not None:
         console.print(f"{maps.boundary.error}", markup=False)

@@ -129,6 +129,7 @@ def test_map_tells_its_size_time_and_error_and_saves_maps_that_can_be_loaded(tmp
     assert main(["map", *point, "--load", "m.nc", "--json", "again.json"]) == 0
     again = json.loads((tmp_path / "again.json").read_text())
     assert again["error"] == error
+    assert again["build_seconds"] is None  # nothing was built
     assert main(["map", *point, "--load", "m.json"]) == 2
     assert "does not hold mean-value maps" in capsys.readouterr().err
     assert main(["map", *point, "--load", "missing.nc"]) == 2

@@ -250,5 +250,6 @@ def test_what_cannot_be_fitted(maps):
         {"exhaust_pressure": (1.0e5, np.inf)},
         {"exhaust_pressure": (np.nan, 1.3e5)},
     ):
-        with pytest.raises(ParameterError, match=f"{next(iter(ranges))} is to be covered"):
+        name = next(iter(ranges))
+        with pytest.raises(ParameterError, match=rf"{name} is to be covered|{name}\[\d\] is"):
             maps.with_boundary_conditions(PLANT, **ranges)

@@ -141,6 +141,10 @@ def test_inverse_reports_what_cannot_be_reached(maps):
     assert fast.lowest_charge > 20e-6
     with pytest.raises(ParameterError, match="lift_mm is 9 mm"):
         maps.duration_for_charge(100e-6, 9.0, 1500.0)
+    with pytest.raises(ParameterError, match="charge, lift and speed are not numbers"):
+        maps.duration_for_charge("much", 3.0, 1500.0)
+    with pytest.raises(ParameterError, match="speed and duration are not numbers"):
+        maps.lift_saturation("slow")
     with pytest.raises(ParameterError, match="not finite"):
         maps.duration_for_charge(np.nan, 3.0, 1500.0)
 
@@ -236,6 +240,13 @@ def test_a_map_of_chosen_region_and_bad_ranges():
     assert small.error_against(CrankAnglePlant(runner=False), samples=300).charge_max < 3.0 * told
     with pytest.raises(ParameterError, match="highest_speed_rpm is 900"):
         MeanValuePlant.fit(PLANT, speed_range_rpm=(1000.0, 900.0))
+    for bad in ("ab", 1500.0, (1.0, 2.0, 3.0), ("a", 2.0)):
+        with pytest.raises(ParameterError, match="speed_range_rpm"):
+            MeanValuePlant.fit(PLANT, speed_range_rpm=bad)
+    with pytest.raises(ParameterError, match=r"lift_range_mm is \(\), but must be two numbers"):
+        MeanValuePlant.fit(PLANT, lift_range_mm=())
+    with pytest.raises(ParameterError, match="longest_deg is 'x'"):
+        MeanValuePlant.fit(PLANT, longest_deg="x")
     with pytest.raises(ParameterError, match="most_points is 30"):
         MeanValuePlant.fit(PLANT, most_points=30)
     with pytest.raises(ParameterError, match="tolerance is 0"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 Maps = TypeVar("Maps", bound="MeanValuePlant")
 Ranges = tuple[tuple[float, float], ...]
+# Charge and loss at speeds, lifts, durations and conditions
+Cycles = Callable[
+    [FloatArray, FloatArray, FloatArray, BoundaryConditions], tuple[FloatArray, FloatArray]
+]
 
 
 def with_boundary_conditions(
@@ -97,7 +102,7 @@ def with_boundary_conditions(
 
 
 def _error(
-    maps: MeanValuePlant, cycles: object, ranges: Ranges, samples: int, seed: int
+    maps: MeanValuePlant, cycles: Cycles, ranges: Ranges, samples: int, seed: int
 ) -> BoundaryError:
     lift, duration, speed = maps.region.sample(samples, seed)
     # Another stream than that of the points: the two must not be related.
@@ -106,7 +111,7 @@ def _error(
     # A fifth of the conditions are corners of the ranges, where a polynomial errs most.
     corners = np.array([random.choice(r, samples) for r in ranges])
     conditions = BoundaryConditions(*np.where(np.arange(samples) % 5 == 0, corners, drawn))
-    truth = cycles(speed, lift, duration, conditions)  # type: ignore[operator]
+    truth = cycles(speed, lift, duration, conditions)
     own = units_of_air(maps.engine, BoundaryConditions.of(maps.engine))
     units = units_of_air(maps.engine, conditions)
     figures, places = [], []

@@ -323,31 +323,31 @@ def _differences(
     plant: CrankAnglePlant, x: FloatArray, h: FloatArray, threads: int, progress: Progress | None
 ) -> dict[str, FloatArray]:
     """Central first and second differences of charge and loss, (2, points) each."""
-    stencil = [(0, 0, 0)]
-    for i in range(3):
-        for sign in (1, -1):
-            stencil.append(tuple(sign * (k == i) for k in range(3)))  # type: ignore[arg-type]
-    for i, j in _PAIRS[3:]:
-        for a in (1, -1):
-            for b in (1, -1):
-                stencil.append(tuple(a * (k == i) + b * (k == j) for k in range(3)))  # type: ignore[arg-type]
+    stencil = [_offset()]
+    stencil += [_offset((i, a)) for i in range(3) for a in (1, -1)]
+    stencil += [_offset((i, a), (j, b)) for i, j in _PAIRS[3:] for a in (1, -1) for b in (1, -1)]
     points = np.stack([x + np.array(s)[:, None] * h for s in stencil], axis=1)
     truth = sweep(plant, points[2], points[0], points[1], threads=threads, progress=progress)
     f = np.stack((truth.air_charge, truth.pumping_loss))
     at = {s: f[:, k] for k, s in enumerate(stencil)}
-    unit = np.eye(3, dtype=int)
     found = {}
     for i, name in enumerate(_VARIABLES):
-        found[name] = (at[tuple(unit[i])] - at[tuple(-unit[i])]) / (2.0 * h[i])
+        found[name] = (at[_offset((i, 1))] - at[_offset((i, -1))]) / (2.0 * h[i])
     for i, j in _PAIRS:
         name = f"{_VARIABLES[i]}_{_VARIABLES[j]}"
         if i == j:
-            second = at[tuple(unit[i])] - 2.0 * at[0, 0, 0] + at[tuple(-unit[i])]
+            second = at[_offset((i, 1))] - 2.0 * at[_offset()] + at[_offset((i, -1))]
             found[name] = second / h[i] ** 2
             continue
-        mixed = sum(a * b * at[tuple(a * unit[i] + b * unit[j])] for a in (1, -1) for b in (1, -1))
+        mixed = sum(a * b * at[_offset((i, a), (j, b))] for a in (1, -1) for b in (1, -1))
         found[name] = mixed / (4.0 * h[i] * h[j])
     return found
+
+
+def _offset(*moves: tuple[int, int]) -> tuple[int, ...]:
+    """Steps in each variable, from pairs of variable and steps."""
+    steps = dict(moves)
+    return tuple(steps.get(k, 0) for k in range(3))
 
 
 def _map_derivatives(maps: MeanValuePlant, quantity: str, x: FloatArray) -> dict[str, FloatArray]:

@@ -153,7 +153,7 @@ class _Batch:
         where = self.inputs.place(point)
         at = self.inputs.point(point)
         try:
-            plant = self.plant._with_engine(self.inputs.engine_at(point))
+            plant = self.plant.with_engine(self.inputs.engine_at(point))
             commands = [
                 ValveCommand(*triple)
                 for triple in self.inputs.commands(point, point + 1).reshape(-1, 3).tolist()

@@ -326,6 +326,17 @@ class CrankAnglePlant:
                 "damaged, save the state again"
             )
 
+    def with_engine(self, engine: Engine) -> CrankAnglePlant:
+        """Return this plant with another engine, its options kept."""
+        return CrankAnglePlant(
+            engine,
+            runner=self.runner,
+            oscillation=self.oscillation,
+            profile=self.profile,
+            orifice=self.orifice,
+            resolution=self.resolution,
+        )
+
     # -- internals ---------------------------------------------------------------------------
 
     def _periodic(
@@ -420,17 +431,6 @@ class CrankAnglePlant:
             manifolds,
         )
         return values, tables[BEFORE], manifolds[BEFORE]
-
-    def _with_engine(self, engine: Engine) -> CrankAnglePlant:
-        """Return this plant with another engine."""
-        return CrankAnglePlant(
-            engine,
-            runner=self.runner,
-            oscillation=self.oscillation,
-            profile=self.profile,
-            orifice=self.orifice,
-            resolution=self.resolution,
-        )
 
     def _trace_cycle(self, cycle: Cycle, step_deg: float) -> Trace:
         """Simulate the periodic cycle once more, with signals."""

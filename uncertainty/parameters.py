@@ -77,6 +77,11 @@ class UncertainParameter(_Replaceable):
     def __post_init__(self) -> None:
         if not self.name or not self.acts_on:
             raise ParameterError(f"parameter {self.name!r} lacks a name or a target: give both")
+        if isinstance(self.acts_on, str):
+            raise ParameterError(
+                f"acts_on of {self.name} is {self.acts_on!r}, but must be a tuple of targets: "
+                f"({self.acts_on!r},)"
+            )
         in_range(f"low of {self.name}", self.low, -1e12, 1e12, self.unit)
         in_range(
             f"high of {self.name}",
@@ -125,6 +130,13 @@ class UncertaintySet:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ParameterError(f"the set holds {', '.join(twice)} more than once: keep one each")
+        given = [t for p in self.parameters if not p.relative for t in p.acts_on]
+        clash = sorted({t for t in given if given.count(t) > 1 and not _is_offset(t)})
+        if clash:
+            raise ParameterError(
+                f"more than one parameter gives a value to {', '.join(clash)}: keep one, or make "
+                "the others relative"
+            )
 
     # -- what is assumed of the paper's engine -------------------------------------------------
 
@@ -342,19 +354,9 @@ class UncertaintySet:
         ParameterError
             If an engine field is unknown, or a bound impossible for it.
         """
-        from plant import engine_fields, replace_engine_fields
+        from ._engine_check import check_engine
 
-        from .perturbed import perturbed_fields
-
-        n = engine.n_cylinders
-        offsets = (DURATION_OFFSET, *(f"{DURATION_OFFSET}[{i}]" for i in range(n)))
-        known = (*engine_fields(engine), *offsets, *SENSOR_TARGETS)
-        for parameter in self.parameters:
-            for target in parameter.acts_on:
-                one_of(f"target of {parameter.name}", target, known)
-        for values in (self.low, self.high):
-            fields = perturbed_fields(engine, self, values[np.newaxis])
-            replace_engine_fields(engine, {name: float(v[0]) for name, v in fields.items()})
+        check_engine(self, engine)
 
     def __str__(self) -> str:
         """Return a line for each parameter."""
@@ -362,7 +364,11 @@ class UncertaintySet:
 
 
 def _is_engine_field(target: str) -> bool:
-    return target not in SENSOR_TARGETS and not target.startswith(DURATION_OFFSET)
+    return target not in SENSOR_TARGETS and not _is_offset(target)
+
+
+def _is_offset(target: str) -> bool:
+    return target.startswith(DURATION_OFFSET)
 
 
 def _factor(name: str, low: float, high: float, *acts_on: str, source: str) -> UncertainParameter:

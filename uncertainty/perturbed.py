@@ -143,10 +143,13 @@ def perturbed_fields(
 ) -> dict[str, FloatArray]:
     """Engine fields of samples, each (samples,).
 
-    Where two parameters act on one field, their factors multiply.
+    Where two parameters act on one field, their factors multiply, and a value given to it is
+    what they multiply, whichever comes first.
     """
     fields: dict[str, FloatArray] = {}
-    for parameter, column in zip(uncertain, values.T, strict=True):
+    for parameter, column in sorted(
+        zip(uncertain, values.T, strict=True), key=lambda pair: pair[0].relative
+    ):
         for target in parameter.acts_on:
             if target in SENSOR_TARGETS or target.startswith(DURATION_OFFSET):
                 continue

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Method = Literal["random", "sobol", "latin-hypercube", "given"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no truth value to compare by
 class Sample:
     """Points of an uncertainty set.
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from plant.map_results import BoundaryError, MapError
     from plant.throttled import ThrottleStep
     from plant.validation import ValidationReport
+    from uncertainty.quantification_result import Quantification
 
     from .robustness import RobustnessResult
 
@@ -56,6 +57,21 @@ def assess_throttle_steps(steps: Sequence[ThrottleStep]) -> list[RequirementResu
             100.0 * float(worst.rms_each.max()),
             f"{angles} deg at {worst.speed_rpm:g} rpm",
         )
+    ]
+
+
+def assess_uncertainty(found: Quantification) -> list[RequirementResult]:
+    """Requirements on the weights and on the share of the set that they cover."""
+    worst = min(found.channels, key=lambda channel: channel.check.min_ratio)
+    check = found.coverage
+    return [
+        evaluate("uncertainty-weights", found.least_ratio, worst.channel.name),
+        evaluate(
+            "uncertainty-coverage",
+            check.p_value,
+            f"{check.fresh_inside} of {check.fresh_samples} inside, "
+            f"{100.0 * check.bound.share:g} % claimed",
+        ),
     ]
 
 

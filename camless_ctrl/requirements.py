@@ -179,6 +179,24 @@ REQUIREMENTS: dict[str, Requirement] = {
             "throttle step, against the full plant with the conventional cam",
         ),
         Requirement(
+            "uncertainty-weights",
+            1.0,
+            "1",
+            "at least",
+            _DESIGN,
+            "smallest ratio of a weight to the largest residual of the design sample of full "
+            "plants, over all channels, on a grid eight times finer than that of the fit",
+        ),
+        Requirement(
+            "uncertainty-coverage",
+            0.01,
+            "1",
+            "at least",
+            _DESIGN,
+            "probability of as few of the fresh full plants inside the weights as were found, if "
+            "the claimed share were covered",
+        ),
+        Requirement(
             "loop-spectral-radius",
             0.999,
             "1",

@@ -1,12 +1,31 @@
-"""`camless analyse`: robust stability of the air-charge loop."""
+"""`camless analyse`: uncertainty of the mean-value plant, robust stability of the loop."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from ._common import JsonFile, Quiet, at_least_one, bar, out, print_requirements, status
+from ._common import (
+    Bar,
+    JsonFile,
+    Quiet,
+    Seed,
+    at_least_one,
+    bar,
+    out,
+    print_requirements,
+    print_table,
+    status,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from plant import MeanValuePlant
+    from uncertainty.attribution_result import SobolResult
+    from uncertainty.deltas import AllDeltas
+    from uncertainty.quantification_result import Quantification
 
 Speeds = Annotated[
     tuple[float, ...],
@@ -17,12 +36,18 @@ Speeds = Annotated[
 def analyse(
     *,
     speed_rpm: Speeds = (750.0, 1500.0, 3000.0, 4500.0, 6000.0),
+    uncertainty: Annotated[
+        bool, Parameter(help="Whether to quantify the uncertainty of the mean-value plant.")
+    ] = True,
+    seed: Seed = 0,
     json: JsonFile = None,
     quiet: Quiet = False,
 ) -> int:
-    """Analyse poles, margins and uncertainty of the air-charge loop at each speed.
+    """Quantify the uncertainty of the mean-value plant, and analyse the air-charge loop.
 
-    The exit status is 1 when a requirement on the loop is not met.
+    Uncertainty: deltas, weights with a guarantee that fresh full plants check, Sobol' indices.
+    Loop: poles, margins, and what they withstand, at each speed. The exit status is 1 when a
+    requirement on either is not met.
 
     Example: camless analyse --speed-rpm 1500 6000 --json analysis.json
     """
@@ -30,7 +55,7 @@ def analyse(
     from plant._map_grid import SPEED_RANGE_RPM
     from plant.mean_value import MeanValuePlant
 
-    from ..assessment import as_dict, assess_robustness
+    from ..assessment import as_dict, assess_robustness, assess_uncertainty
     from ..jsonable import to_json
     from ..output import reserved_file
     from ..robustness import analyse as run
@@ -41,10 +66,13 @@ def analyse(
     with reserved_file(json) as file:
         with bar("maps", quiet) as progress:
             maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))
+            quantified = _quantify(maps, seed, progress) if uncertainty else None
             results = run(
                 maps, speed_rpm, progress=lambda done, all_: progress("speeds", done, all_)
             )
         found = assess_robustness(results)
+        if quantified is not None:
+            found = [*assess_uncertainty(quantified[1]), *found]
         if file is not None:
             speeds = [
                 {
@@ -67,9 +95,64 @@ def analyse(
                 }
                 for r in results
             ]
-            file.write(to_json({"speeds": speeds, "requirements": [as_dict(f) for f in found]}))
+            content: dict[str, Any] = {"speeds": speeds}
+            if quantified is not None:
+                content["uncertainty"] = _content(*quantified)
+            content["requirements"] = [as_dict(f) for f in found]
+            file.write(to_json(content))
     console = out(quiet)
+    if quantified is not None:
+        _print(console, *quantified)
     for result in results:
         console.print(str(result), markup=False)
     print_requirements(console, found)
     return status(found)
+
+
+def _quantify(
+    maps: MeanValuePlant, seed: int, progress: Bar
+) -> tuple[AllDeltas, Quantification, SobolResult]:
+    from uncertainty.attribution import attribute
+    from uncertainty.deltas import evaluate_all
+    from uncertainty.quantification import quantify
+
+    def told(what: str) -> Any:
+        return lambda done, all_: progress(what, done, all_)
+
+    return (
+        evaluate_all(progress=told("deltas")),
+        quantify(maps=maps, seed=seed, progress=told("weights")),
+        attribute(seed=seed, progress=told("attribution")),
+    )
+
+
+def _content(deltas: AllDeltas, found: Quantification, sobol: SobolResult) -> dict[str, Any]:
+    return {
+        "deltas": deltas.records(),
+        "weights": found.records(),
+        "coverage": found.coverage.to_dict(),
+        "sobol": sobol.records(),
+    }
+
+
+def _print(console: Console, deltas: AllDeltas, found: Quantification, sobol: SobolResult) -> None:
+    console.print(str(deltas), markup=False)
+    print_table(
+        console,
+        "Weights: largest magnitude, and ratio to the residual",
+        ["channel", "order", "weight", "ratio", "reduction alone"],
+        [
+            [
+                c.channel.name,
+                str(c.weight.order),
+                f"{100.0 * c.peak:.1f} %",
+                f"{c.check.min_ratio:.2f} to {c.check.max_ratio:.2f}",
+                f"{100.0 * c.reduction_error:.2f} %",
+            ]
+            for c in found.channels
+        ],
+    )
+    console.print(str(found.coverage), markup=False)
+    for quantity in sobol.quantities:
+        for k in range(len(sobol.points)):
+            console.print(sobol.sentence(quantity, k), markup=False)

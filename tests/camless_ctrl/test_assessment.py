@@ -12,6 +12,7 @@ from camless_ctrl.assessment import (
     assess_maps,
     assess_robustness,
     assess_throttle_steps,
+    assess_uncertainty,
     assess_validation,
     least,
     sentence,
@@ -36,6 +37,19 @@ def speed(rpm, radius, worst, gain_margin=3.0, disk=1.0, small_gain=0.5):
     )
 
 
+def quantified(ratio, p_value):
+    channels = [
+        SimpleNamespace(
+            channel=SimpleNamespace(name=f"charge q={q}"), check=SimpleNamespace(min_ratio=r)
+        )
+        for q, r in enumerate((ratio + 0.3, ratio))
+    ]
+    coverage = SimpleNamespace(
+        p_value=p_value, fresh_inside=981, fresh_samples=1000, bound=SimpleNamespace(share=0.99)
+    )
+    return SimpleNamespace(channels=channels, least_ratio=ratio, coverage=coverage)
+
+
 def run_of(error, seed=0):
     """Twelve cycles of two cylinders, with the given relative errors repeated over the run."""
     m = 24
@@ -57,6 +71,14 @@ def test_runs_of_different_demands_are_not_averaged():
     other = dataclasses.replace(run_of([0.0]), demand=np.full(24, 2e-4))
     with pytest.raises(ParameterError, match="differ in demand"):
         assess_load_step([run_of([0.0]), other])
+
+
+def test_uncertainty_is_judged_by_its_weakest_weight_and_by_the_fresh_plants():
+    found = by_name(assess_uncertainty(quantified(0.999, 0.004)))
+    assert not any(row.met for row in found.values())
+    assert found["uncertainty-weights"].note == "charge q=1"
+    assert found["uncertainty-coverage"].note == "981 of 1000 inside, 99 % claimed"
+    assert all(row.met for row in assess_uncertainty(quantified(1.0, 0.01)))
 
 
 def test_loop_is_judged_by_its_worst_speed():
@@ -109,6 +131,7 @@ def test_every_requirement_is_assessed_by_one_function():
         *assess_maps(error),
         *assess_boundary(error),
         *assess_throttle_steps([step]),
+        *assess_uncertainty(quantified(1.1, 0.5)),
         *assess_robustness([speed(750, 0.5, 0.6)]),
         *assess_load_step([run_of([0.0] * 8)]),
     ]

@@ -11,8 +11,10 @@ from .maps import MapsChapter
 from .reproducibility import ReproducibilityChapter
 from .requirements import RequirementsChapter
 from .robustness import RobustnessChapter
+from .section_six import SectionSixChapter
 from .summary import SummaryChapter
 from .throttled import ThrottledChapter
+from .uncertainty import UncertaintyChapter
 from .validation import ValidationChapter
 
 
@@ -26,6 +28,8 @@ def default_chapters() -> tuple[Chapter, ...]:
         MapsChapter(),
         ThrottledChapter(),
         DeltasChapter(),
+        SectionSixChapter(),
+        UncertaintyChapter(),
         RobustnessChapter(),
         ClosedLoopChapter(),
         RequirementsChapter(),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
 
-GOOD_RATIO = 1.5  # a weight this close to the residual is tight enough
+GOOD_RATIO = 1.25  # a weight this close to the residual is tight enough
 NEAR_BEST = 1.05  # where none is: so close to the tightest one is as good
 _LOOKS = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
@@ -211,7 +211,7 @@ class WeightTable:
 
 
 def lowest_order(tried: tuple[tuple[int, float], ...]) -> int:
-    """Return the lowest order with a ratio of at most 1.5, else within 5 % of the best."""
+    """Return the lowest order with a ratio of at most 1.25, else within 5 % of the best."""
     best = min(ratio for _, ratio in tried)
     limit = max(GOOD_RATIO, NEAR_BEST * best) if best > GOOD_RATIO else GOOD_RATIO
     return min(order for order, ratio in tried if ratio <= limit)

@@ -66,7 +66,7 @@ def fit_weight(
     residual : array-like, shape (points,)
         Magnitude to bound, at least zero.
     order : int, optional
-        From 0 to 4. If it is None: the lowest of `orders` with a largest ratio of at most 1.5;
+        From 0 to 4. If it is None: the lowest of `orders` with a largest ratio of at most 1.25;
         if there is none, the lowest within 5 % of the tightest.
     dt : float, optional
         Sampling time, s; None or 0 for continuous time.
@@ -78,7 +78,7 @@ def fit_weight(
         the residual do not matter.
     slack : float
         Share by which the largest ratio may exceed the least one, so that |W| is smaller in the
-        mean; a ratio of at most 1.5 stays so.
+        mean; a ratio of at most 1.25 stays so.
     finer : callable, optional
         Residual at given frequencies (rad/s). With it the weight is checked on a grid eight
         times finer; points at which it falls short are added and the fit is repeated.

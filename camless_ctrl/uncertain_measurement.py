@@ -1,0 +1,397 @@
+"""From a correction to what the estimator sees of it, with everything that is uncertain in it.
+
+The response per event of the estimate to a correction is taken from full plants, each trimmed
+to the demand as the adaptation would. A few real parameters act along directions of their own,
+and what is left of all samples is a complex weight,
+
+    E(z) = E_c(z) + sum_k d_k H_k(z) + W(z) D,    -1 <= d_k <= 1 real, |D| <= 1 complex,
+
+with ``d_k`` the parameter between its bounds. So the remainder of the linearisation in the
+parameters, and all parameters that have no direction, are in the weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from plant import CrankAnglePlant, FlowShape, MafSensor, ParameterError, PulseResponse
+from plant._checks import positive, whole
+from plant.air_path import ComplexArray, event_time
+from plant.kinematics import FloatArray
+from plant.region import OperatingPoint
+from uncertainty.coverage import FreshCheck, bound_from_scores, check_fresh, samples_needed
+from uncertainty.parameters import DURATION_OFFSET, UncertainParameter, UncertaintySet
+from uncertainty.perturbed import PerturbedPlants
+from uncertainty.pulse_sampling import SampledPulses, sampled_pulses
+from uncertainty.quantification import default_set
+from uncertainty.sampling import Sample, draw, nominal_sample, one_at_a_time
+from uncertainty.weight_result import OverboundingWeight
+from uncertainty.weights import fit_weight
+
+from .estimator import ChargeEstimator
+from .feedforward import Feedforward
+from .linearise import LocalResponse, local_response
+from .pulse_bank import PulseSum
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MODELLED = (
+    "temperature",
+    "flow coefficient",
+    "MAF gain error",
+    "MAF time constant",
+    "MAF delay",
+)
+TRIM = UncertainParameter(
+    "trim", -0.02, 0.02, 0.0, (DURATION_OFFSET,), False, "s", "what the adaptation commands"
+)
+TRIMMED = 2e-3  # relative error of the charge that is left
+_PARTS = 60  # of an event, in the shape of the flow
+_POINTS = 97  # frequencies from 0 to the Nyquist frequency of an event
+_FINER = 4
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class UncertainMeasurement:
+    """Response of the estimate to a correction at one speed, with its uncertainty.
+
+    Attributes
+    ----------
+    local : LocalResponse
+        Nominal full plant at the operating point.
+    demand : float
+        Charge, kg.
+    estimator : ChargeEstimator
+        The estimator.
+    uncertain : UncertaintySet
+        What varies.
+    nominal : PulseSum
+        Response of the nominal plant and sensor.
+    centre : PulseSum
+        ``E_c``, the middle of the parameters' ranges.
+    directions : dict of str to PulseSum
+        ``H_k`` of each modelled parameter.
+    weight : OverboundingWeight
+        ``W`` per event.
+    coverage : FreshCheck or None
+        Share of the set that the description covers, claimed and checked.
+    """
+
+    local: LocalResponse = field(repr=False)
+    demand: float
+    estimator: ChargeEstimator
+    uncertain: UncertaintySet = field(repr=False)
+    nominal: PulseSum = field(repr=False)
+    centre: PulseSum = field(repr=False)
+    directions: Mapping[str, PulseSum] = field(repr=False)
+    weight: OverboundingWeight = field(repr=False)
+    coverage: FreshCheck | None = None
+
+    @property
+    def speed_rpm(self) -> float:
+        """Speed."""
+        return self.local.speed_rpm
+
+    @property
+    def n_cylinders(self) -> int:
+        """Number of cylinders."""
+        return self.local.n_cylinders
+
+    @property
+    def event_time(self) -> float:
+        """Event time, s."""
+        return self.centre.event_time
+
+    @property
+    def latency(self) -> int:
+        """Events from an IVO to the first one at which its estimate is used."""
+        return self.estimator.latency_events(self.event_time)
+
+    def deltas(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Normalised values of the modelled parameters; nominal where none is given."""
+        found = {}
+        for name in self.directions:
+            p = self.uncertain[name]
+            value = values.get(name, p.nominal)
+            found[name] = (2.0 * value - p.low - p.high) / (p.high - p.low)
+        return found
+
+    def values(self, deltas: Mapping[str, float]) -> dict[str, float]:
+        """Values of the modelled parameters from normalised ones; may lie beyond their bounds."""
+        found = {}
+        for name, delta in deltas.items():
+            p = self.uncertain[name]
+            found[name] = 0.5 * (p.low + p.high) + 0.5 * delta * (p.high - p.low)
+        return found
+
+    def response(self, z: ArrayLike, deltas: Mapping[str, float] | None = None) -> ComplexArray:
+        """Response at points `z` per event for normalised parameters (the middle by default)."""
+        found = self.centre(z)
+        for name, delta in (deltas or {}).items():
+            found = found + delta * self.directions[name](z)
+        return np.asarray(found)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the sizes of the directions and of the weight over the angle per event."""
+        from plant._plotting import COLOURS, axes, styled
+
+        angle = np.linspace(0.0, np.pi, 181)
+        z = np.exp(1j * angle)
+        styles = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+        with styled():
+            ax = axes(ax)
+            for k, (name, direction) in enumerate(self.directions.items()):
+                ax.plot(
+                    np.degrees(angle),
+                    np.abs(direction(z)),
+                    ls=styles[k % len(styles)],
+                    c=COLOURS[k % len(COLOURS)],
+                    label=name,
+                )
+            magnitude = self.weight.magnitude(angle / self.event_time)
+            ax.plot(np.degrees(angle), magnitude, c="0.2", lw=2.4, label="all else (complex)")
+            ax.set_xlim(0.0, 180.0)
+            ax.set_xticks(
+                np.degrees(2.0 * np.pi * np.arange(self.n_cylinders // 2 + 1) / self.n_cylinders)
+            )
+            ax.set_ylim(bottom=0.0)
+            ax.set_xlabel("angle per event (deg)")
+            ax.set_ylabel("change of the estimate (1)")
+            ax.set_title(f"Uncertainty of the measurement at {self.speed_rpm:g} rpm")
+            ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return ax
+
+    def __str__(self) -> str:
+        """Return operating point, size of the weight and coverage."""
+        size = float(self.weight.magnitude(self.weight.omega).max())
+        covered = "" if self.coverage is None else f" {self.coverage}"
+        return (
+            f"{self.speed_rpm:g} rpm, {1e6 * self.demand:.0f} mg: {len(self.directions)} real "
+            f"parameters, and a complex remainder of up to {100.0 * size:.1f} % (order "
+            f"{self.weight.order}).{covered}"
+        )
+
+
+def uncertain_measurement(
+    plant: CrankAnglePlant,
+    feedforward: Feedforward,
+    demand: float,
+    speed_rpm: float,
+    *,
+    estimator: ChargeEstimator | None = None,
+    uncertain: UncertaintySet | None = None,
+    modelled: tuple[str, ...] = MODELLED,
+    share: float = 0.99,
+    confidence: float = 0.95,
+    design: int = 64,
+    fresh: int = 200,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> UncertainMeasurement:
+    """Describe the measurement of sampled full plants at one operating point.
+
+    Parameters
+    ----------
+    plant : CrankAnglePlant
+        Nominal full plant; its cylinders are equal.
+    feedforward : Feedforward
+        Map that the controller believes.
+    demand, speed_rpm : float
+        Operating point: kg, rpm.
+    estimator : ChargeEstimator, optional
+        The estimator; the default one if not given.
+    uncertain : UncertaintySet, optional
+        What is uncertain; `uncertainty.default_set` by default.
+    modelled : tuple of str
+        Parameters with a direction of their own.
+    share, confidence : float
+        Claim of the description. They say how many calibration samples are drawn.
+    design, fresh : int
+        Sobol' points of the design sample, and samples of the check.
+    seed : int
+        Seed of all samples.
+    progress : callable, optional
+        Called with the number of plants followed and the number in all.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown parameter, or a sampled plant that cannot be trimmed to the demand.
+    """
+    positive("demand", demand, "kg")
+    whole("design", design, 2, 100_000)
+    whole("fresh", fresh, 1, 10_000_000)
+    estimator = ChargeEstimator() if estimator is None else estimator
+    uncertain = default_set() if uncertain is None else uncertain
+    seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(3)]
+    local = local_response(plant, feedforward, demand, speed_rpm)
+    slope = feedforward.sensitivity(local.charge / local.factor, speed_rpm)
+    slope *= local.factor / local.charge  # relative charge per deg, as the controller believes
+
+    bounds = one_at_a_time(uncertain.only(modelled))
+    design_sample = _extended(uncertain, bounds).joined(nominal_sample(uncertain))
+    shaped = design_sample.joined(one_at_a_time(uncertain))
+    shaped = shaped.joined(draw(uncertain, design, seeds[0], "sobol"))
+    calibration = draw(uncertain, samples_needed(share, confidence), seeds[1])
+    unseen = draw(uncertain, fresh, seeds[2])
+    total = len(shaped) + len(calibration) + len(unseen)
+    done = 0
+
+    def follow(sample: Sample) -> list[PulseResponse]:
+        nonlocal done
+        trimmed = _trimmed(plant, sample, local, demand, slope)
+
+        def report(count: int, _: int) -> None:
+            if progress is not None:
+                progress(done + count, total)
+
+        pulses = sampled_pulses(
+            PerturbedPlants(plant, trimmed),
+            local.command,
+            speed_rpm,
+            reference_charge=demand,
+            progress=report,
+        )
+        done += len(sample)
+        return [_estimate(pulses, i, estimator, demand, slope) for i in range(len(pulses))]
+
+    found = follow(shaped)
+    low, high = found[0 : 2 * len(modelled) : 2], found[1 : 2 * len(modelled) : 2]
+    nominal = found[2 * len(modelled)]
+    centre, directions = _fitted(uncertain, modelled, shaped, found, basis=[nominal, *low, *high])
+    T = centre.event_time
+
+    def left(responses: list[PulseResponse], sample: Sample, omega: FloatArray) -> FloatArray:
+        """What the directions leave of each sample (samples, frequencies)."""
+        z = np.exp(1j * omega * T)
+        columns = np.stack([directions[name](z) for name in modelled])
+        middle = centre(z)
+        scaled = np.stack([_normalised(uncertain[name], sample.column(name)) for name in modelled])
+        each = np.stack([response(z) for response in responses])
+        return np.asarray(np.abs(each - middle - scaled.T @ columns))
+
+    weight = fit_weight(
+        np.linspace(0.0, np.pi, _POINTS) / T,
+        left(found, shaped, np.linspace(0.0, np.pi, _POINTS) / T).max(axis=0),
+        dt=T,
+        orders=(0, 1, 2),
+        floor=0.05,
+        finer=lambda omega: left(found, shaped, omega).max(axis=0),
+        name=f"remainder at {speed_rpm:g} rpm",
+    )
+    omega = np.linspace(0.0, np.pi, _FINER * (_POINTS - 1) + 1) / T
+    size = weight.magnitude(omega)
+    scores = [
+        (left(follow(sample), sample, omega) / size).max(axis=1) for sample in (calibration, unseen)
+    ]
+    bound = bound_from_scores(scores[0], confidence=confidence, share=share)
+    factor = max(bound.value, 1.0)
+    return UncertainMeasurement(
+        local=local,
+        demand=float(demand),
+        estimator=estimator,
+        uncertain=uncertain,
+        nominal=PulseSum(((1.0, nominal),)),
+        centre=centre,
+        directions=directions,
+        weight=weight.scaled(factor),
+        coverage=check_fresh(replace(bound, value=factor), scores[1]),
+    )
+
+
+def _fitted(
+    uncertain: UncertaintySet,
+    modelled: tuple[str, ...],
+    sample: Sample,
+    found: list[PulseResponse],
+    *,
+    basis: list[PulseResponse],
+) -> tuple[PulseSum, dict[str, PulseSum]]:
+    """Centre and directions of the affine model nearest to the sample, in least squares.
+
+    They are combinations of the nominal response and those with one parameter at a bound.
+    """
+    z = np.exp(1j * np.linspace(0.0, np.pi, _POINTS))
+    functions = np.stack([response(z) for response in basis])  # (basis, f)
+    each = np.stack([response(z) for response in found])  # (samples, f)
+    factors = np.column_stack(
+        [
+            np.ones(len(sample)),
+            *(_normalised(uncertain[name], sample.column(name)) for name in modelled),
+        ]
+    )
+    # each = factors @ coefficients @ functions, real coefficients: project from both sides.
+    stacked = np.hstack((functions.real, functions.imag))
+    wanted = np.hstack((each.real, each.imag))
+    projection = np.linalg.pinv(stacked, rcond=1e-8)
+    coefficients = np.linalg.pinv(factors) @ wanted @ projection
+    sums = [PulseSum(tuple(zip(row.tolist(), basis, strict=True))) for row in coefficients]
+    return sums[0], dict(zip(modelled, sums[1:], strict=True))
+
+
+def _extended(uncertain: UncertaintySet, part: Sample) -> Sample:
+    """A sample of some parameters as one of the whole set, the others nominal."""
+    values = np.tile(uncertain.nominal, (len(part), 1))
+    for name in part.uncertain.names:
+        values[:, uncertain.names.index(name)] = part.column(name)
+    return Sample(uncertain, values)
+
+
+def _normalised(parameter: UncertainParameter, values: FloatArray) -> FloatArray:
+    span = parameter.high - parameter.low
+    return (2.0 * values - parameter.low - parameter.high) / span
+
+
+def _trimmed(
+    plant: CrankAnglePlant, sample: Sample, local: LocalResponse, demand: float, slope: float
+) -> Sample:
+    """Return the sample with the change of duration that gives each plant the demand."""
+    uncertain = sample.uncertain + UncertaintySet((TRIM,))
+    point = OperatingPoint(local.speed_rpm, local.command.lift_mm, local.command.duration_deg)
+    degrees = 6.0 * local.speed_rpm
+    trim = np.zeros(len(sample))
+    per_second = slope * local.sensitivity * degrees  # relative charge per s of duration
+    error = np.full(len(sample), np.inf)
+    for _ in range(8):
+        tried = Sample(uncertain, np.column_stack((sample.values, trim)))
+        cycles = PerturbedPlants(plant, tried).steady_cycles(*point, per_cylinder=False)
+        error = cycles["air_charge"].to_numpy()[:, 0] / demand - 1.0
+        if float(np.abs(error).max()) < TRIMMED:
+            return tried
+        trim = trim - error / per_second
+    worst = int(np.argmax(np.abs(error)))
+    raise ParameterError(
+        f"sample {worst} takes in {100.0 * error[worst]:+.1f} % more than the demand of "
+        f"{1e6 * demand:.0f} mg at {local.speed_rpm:g} rpm, whatever its duration: lower the demand"
+    )
+
+
+def _estimate(
+    pulses: SampledPulses, i: int, estimator: ChargeEstimator, demand: float, slope: float
+) -> PulseResponse:
+    """Response of the estimate to a correction on one plant."""
+    pulse = pulses.pulses[i]
+    assert pulse is not None  # failures are raised
+    gain = float(pulse.charge.sum()) / pulses.step / demand / slope
+    events, samples = pulse.flow.shape
+    shares = pulse.flow.reshape(events * _PARTS, samples // _PARTS).sum(axis=1)
+    maf = pulses.plants.maf_at(i, MafSensor())
+    response = PulseResponse.of_window(
+        event_time(pulses.speed_rpm, pulses.n_cylinders),
+        time_constant=maf.time_constant,
+        delay=maf.delay,
+        shape=FlowShape(shares / shares.sum(), _PARTS),
+        shift=estimator.delay,
+        taper=estimator.taper,
+        correction=estimator.time_constant,
+    )
+    taps = gain * (1.0 + maf.gain_error) * response.taps
+    return PulseResponse(response.event_time, response.first, taps, response.pole)

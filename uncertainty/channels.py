@@ -18,6 +18,7 @@ from .weight_result import OverboundingWeight, WeightCheck
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+FINE = 361  # phases from 0 to pi on which a weight is drawn and its peak sought
 OUTPUT_WORDS: dict[Output, str] = {"air_charge": "charge", "maf": "MAF"}
 
 
@@ -102,8 +103,8 @@ class ChannelUncertainty:
 
     @property
     def peak(self) -> float:
-        """Largest ``|W|``."""
-        return float(self.weight.magnitude(self.weight.omega).max())
+        """Largest ``|W|``, on a fine grid of phases from 0 to pi."""
+        return float(self.weight.magnitude(np.linspace(0.0, np.pi, FINE) / self.weight.dt).max())
 
     @property
     def recentred_radius(self) -> float:
@@ -136,7 +137,7 @@ class ChannelUncertainty:
         folded, own = (
             folded_envelope(self.theta, values) for values in (self.envelope, self.own_error)
         )
-        fine = np.linspace(0.0, np.pi, 181)
+        fine = np.linspace(0.0, np.pi, FINE)
         cycle = self.weight.dt
         with styled():
             ax = axes(ax)

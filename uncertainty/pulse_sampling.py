@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from plant import (
     ConvergenceError,
@@ -24,7 +25,8 @@ from plant import (
     ValveCommand,
 )
 from plant._checks import in_range, one_of, positive, truth, whole
-from plant.air_path import event_time
+from plant.air_path import ComplexArray, event_time
+from plant.kinematics import FloatArray
 
 from ._event_pulse import PeriodicOperation, Pulse
 from ._modes import checked_mode, mode_points
@@ -89,7 +91,7 @@ class SampledPulses:
         """Number of cylinders."""
         return self.plants.plant.engine.n_cylinders
 
-    def flow_shape(self, parts: int = 60) -> FlowShape:
+    def flow_shape(self, parts: int = SAMPLES) -> FlowShape:
         """How the charge that a changed command adds to the nominal plant passes the throttle.
 
         Parameters
@@ -100,7 +102,8 @@ class SampledPulses:
         whole("parts", parts, 1, SAMPLES)
         if SAMPLES % parts:
             raise ParameterError(f"parts is {parts}, but must divide {SAMPLES}")
-        shares = self.nominal.flow.reshape(-1, SAMPLES // parts).sum(axis=1)
+        flow = np.append(self.nominal.flow, 0.0)  # linear between its samples
+        shares = (flow[1:] + flow[:-1]).reshape(-1, SAMPLES // parts).sum(axis=1)
         return FlowShape(shares / shares.sum(), parts)
 
     def responses(
@@ -142,21 +145,12 @@ class SampledPulses:
         unit = self.reference_charge if output == "air_charge" else self.reference_charge / T
         scale = float(getattr(self.command, self.input)) / unit
 
-        def response(pulse: Pulse, sensor: MafSensor) -> PulseResponse:
-            return series(pulse, self.step, output, T, sensor)
-
-        found = np.full((len(self), *z.shape), np.nan, dtype=complex)
-        for i, pulse in enumerate(self.pulses):
-            if pulse is not None:
-                found[i] = scale * response(pulse, self.plants.maf_at(i, self.maf))(z)
-        uncertain = self.plants.sample.uncertain
-        nominal_plants = PerturbedPlants(self.plants.plant, nominal_sample(uncertain))
-        nominal = scale * response(self.nominal, nominal_plants.maf_at(0, self.maf))(z)
+        found = scale * self._all(output)(z)
         return SampledResponses(
             modes=chosen,
             theta=phases,
-            response=found,
-            nominal=ModeResponses(chosen, phases, nominal, n, "nominal full plant"),
+            response=found[:-1],
+            nominal=ModeResponses(chosen, phases, found[-1], n, "nominal full plant"),
             sample=self.plants.sample,
             input=self.input,
             output=output,
@@ -165,6 +159,81 @@ class SampledPulses:
             charge=np.array(self.charge),
             reference_charge=self.reference_charge,
         )
+
+    @cached_property
+    def _kept(self) -> dict[Output, _Responses]:
+        return {}
+
+    def _all(self, output: Output) -> _Responses:
+        """Responses of all plants, then of the nominal one; made once for each output."""
+        if output not in self._kept:
+            T = event_time(self.speed_rpm, self.n_cylinders)
+            nominal = _nominal(self.plants).maf_at(0, self.maf)
+            sensors = [self.plants.maf_at(i, self.maf) for i in range(len(self))] + [nominal]
+            self._kept[output] = _Responses.of(
+                [
+                    None if pulse is None else series(pulse, self.step, output, T, sensor)
+                    for pulse, sensor in zip((*self.pulses, self.nominal), sensors, strict=True)
+                ]
+            )
+        return self._kept[output]
+
+
+@dataclass(frozen=True)
+class _Responses:
+    """`PulseResponse` of many plants at once.
+
+    Attributes
+    ----------
+    first : int
+        Event lag of the first column.
+    taps : ndarray (plants, lags)
+        Taps; NaN for a plant that failed.
+    ends : ndarray of int (plants,)
+        Column of the last tap, which starts the tail.
+    poles : ndarray (plants,)
+        Pole of the tail.
+    """
+
+    first: int
+    taps: FloatArray
+    ends: NDArray[np.int64]
+    poles: FloatArray
+
+    @classmethod
+    def of(cls, each: Sequence[PulseResponse | None]) -> _Responses:
+        known = [r for r in each if r is not None]
+        first = min(r.first for r in known)
+        lags = max(r.first + r.taps.size for r in known) - first
+        taps = np.full((len(each), lags), np.nan)
+        ends, poles = np.zeros(len(each), dtype=np.int64), np.zeros(len(each))
+        for i, r in enumerate(each):
+            if r is not None:
+                begin, ends[i] = r.first - first, r.first - first + r.taps.size - 1
+                taps[i] = 0.0
+                taps[i, begin : ends[i] + 1] = r.taps
+                poles[i] = r.pole
+        return cls(first, taps, ends, poles)
+
+    def __call__(self, z: ComplexArray) -> ComplexArray:
+        """Responses (plants, ...) at points `z` (...)."""
+        flat = z.ravel()
+        lags = self.first + np.arange(self.taps.shape[1])
+        powers = flat ** -lags[:, None]
+        # Plant by plant in the same order, so that equal plants have equal responses.
+        found = np.zeros((len(self.taps), flat.size), dtype=complex)
+        for column, power in zip(self.taps.T, powers, strict=True):
+            found += column[:, None] * power
+        if self.poles.any():
+            last = self.taps[np.arange(len(self.taps)), self.ends]
+            pole = self.poles[:, None]
+            found += pole / (flat - pole) * (last[:, None] * powers[self.ends])
+        return found.reshape(-1, *z.shape)
+
+
+def _nominal(plants: PerturbedPlants) -> PerturbedPlants:
+    """Return the nominal plant of a set, as a sample of one."""
+    return PerturbedPlants(plants.plant, nominal_sample(plants.sample.uncertain))
 
 
 def sampled_pulses(
@@ -245,8 +314,7 @@ def sampled_pulses(
             )
         return found
 
-    nominal_plants = PerturbedPlants(plants.plant, nominal_sample(plants.sample.uncertain))
-    nominal = operation(nominal_plants, 0)
+    nominal = operation(_nominal(plants), 0)
     step = float(operation_steps(nominal, input, amplitude, most_events)[0])
     own_charge = float(nominal.cycle.air_charge[0])
     reference = own_charge if reference_charge is None else reference_charge

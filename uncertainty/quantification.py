@@ -16,11 +16,19 @@ shape that the nominal full plant has (the measurement model of the air-charge l
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plant import CrankAnglePlant, MafSensor, MeanValuePlant, PulseResponse, ValveCommand
+from plant import (
+    CrankAnglePlant,
+    MafSensor,
+    MeanValuePlant,
+    ParameterError,
+    PulseResponse,
+    SimulationError,
+    ValveCommand,
+)
 from plant._checks import whole
 from plant.air_path import ComplexArray, event_time
 from plant.kinematics import FloatArray
@@ -39,8 +47,9 @@ from .quantification_result import Quantification
 from .sampling import Sample, draw, nominal_sample, one_at_a_time
 from .weights import fit_weight
 
-MOST_PHASES = 41  # cycle phases from -pi to pi
-FINER = 8
+PHASES = 41  # cycle phases from -pi to pi
+FINER = 8  # parts into which checks and scores cut each interval between them
+LIFT = 1e-9  # relative: keeps a bound through rounding
 FLOOR = 0.02  # share of a channel's largest residual below which it need not be tight
 
 Progress = Callable[[int, int], None]
@@ -92,37 +101,49 @@ def quantify(
     ------
     ParameterError
         For an argument out of range, or cylinders that differ.
+    SimulationError
+        If a plant of the design or calibration sample cannot be simulated: none of them may be
+        left out. A fresh plant that cannot is told in the result, and counts as outside.
+
+    Notes
+    -----
+    Residuals are relative to the mean-value plant's change of charge. Where the charge hardly
+    follows the duration (a valve that shuts about where the charge is largest), they go beyond
+    1: there not even the sign of the gain is certain.
     """
     plant = full_plant(plant)
-    if maps is None:
-        maps = MeanValuePlant.fit(
-            CrankAnglePlant(plant.engine, runner=plant.runner, orifice=plant.orifice)
-        )
     uncertain = default_set() if uncertain is None else uncertain
     points = checked_points(points)
     whole("design", design, 2, 100_000)
     whole("fresh", fresh, 1, 10_000_000)
+    whole("seed", seed, 0, 2**63 - 1)
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(3)]
     shape = _design_sample(uncertain, design, seeds[0])
     calibration = draw(uncertain, samples_needed(share, confidence), seeds[1])
     unseen = draw(uncertain, fresh, seeds[2])
+    if maps is None:
+        maps = MeanValuePlant.fit(_without_oscillation(plant))
 
     each = len(shape) + len(calibration) + len(unseen)
     scores = np.zeros(len(calibration)), np.zeros(len(unseen))
     channels: list[ChannelUncertainty] = []
     failures: list[str] = []
-    for k, point in enumerate(points):
-        follow = _Follower(plant, maps, point, k * each, len(points) * each, progress)
-        designed = follow(shape, keep_going=False)
+    followers = [
+        _Follower(plant, maps, point, k * each, len(points) * each, progress)
+        for k, point in enumerate(points)
+    ]
+    for follow in followers:
+        designed = follow(shape, "design")
         own = [
             _channel(follow, designed, output, q)
             for output in OUTPUTS
             for q in range(plant.engine.n_cylinders // 2 + 1)
         ]
-        for sample, found in ((calibration, scores[0]), (unseen, scores[1])):
-            pulses = follow(sample, keep_going=True)
-            failures += [f"{point}: {why}" for why in pulses.failures.values()]
+        # No calibration plant may be left out, so that one that fails ends all at once.
+        followed = follow(calibration, "calibration"), follow(unseen, "fresh", keep_going=True)
+        for found, pulses in zip(scores, followed, strict=True):
             np.maximum(found, _scores(follow, pulses, own), out=found)
+        failures += [f"{follow.point}: {why}" for why in followed[1].failures.values()]
         channels += own
 
     bound = bound_from_scores(scores[0], confidence=confidence, share=share)
@@ -154,39 +175,43 @@ class _Follower:
     total: int
     progress: Progress | None
 
-    @property
-    def command(self) -> ValveCommand:
-        """Nominal command."""
-        return ValveCommand(self.point.lift_mm, self.point.duration_deg)
+    command: ValveCommand = field(init=False)  # nominal
+    charge: float = field(init=False)  # of the mean-value plant, kg
+    gain: float = field(init=False)  # its change, of it, by that of duration, of duration
 
-    @property
-    def gain(self) -> float:
-        """Relative change of the mean-value plant's charge by that of duration, of the charge."""
+    def __post_init__(self) -> None:
         speed, lift, duration = self.point
-        slope = self.maps.charge_gradient(lift, duration, speed).duration
-        return float(slope) * duration / self.charge
+        self.command = ValveCommand(lift, duration)
+        self.charge = float(self.maps.air_charge(lift, duration, speed))
+        slope = float(self.maps.charge_gradient(lift, duration, speed).duration)
+        self.gain = slope * duration / self.charge
+        if self.gain == 0.0:
+            raise ParameterError(
+                f"the mean-value plant's charge does not follow the duration at {self.point}, but "
+                "must, to be what residuals are relative to: move the operating point"
+            )
 
-    @property
-    def charge(self) -> float:
-        """Charge of the mean-value plant, kg."""
-        speed, lift, duration = self.point
-        return float(self.maps.air_charge(lift, duration, speed))
-
-    def __call__(self, sample: Sample, *, keep_going: bool) -> SampledPulses:
+    def __call__(self, sample: Sample, name: str, *, keep_going: bool = False) -> SampledPulses:
         """Follow a sample."""
 
         def report(done: int, _: int) -> None:
             if self.progress is not None:
                 self.progress(self.done + done, self.total)
 
-        pulses = sampled_pulses(
-            PerturbedPlants(self.plant, sample),
-            self.command,
-            self.point.speed_rpm,
-            reference_charge=self.charge,
-            keep_going=keep_going,
-            progress=report,
-        )
+        try:
+            pulses = sampled_pulses(
+                PerturbedPlants(self.plant, sample),
+                self.command,
+                self.point.speed_rpm,
+                reference_charge=self.charge,
+                keep_going=keep_going,
+                progress=report,
+            )
+        except SimulationError as error:
+            raise SimulationError(
+                f"{name} plants at {self.point}: {error}; none may be left out: narrow the set, "
+                "or leave out the operating point"
+            ) from error
         self.done += len(sample)
         return pulses
 
@@ -200,6 +225,16 @@ class _Follower:
         if output == "maf":
             nominal = _measurement(pulses)(z)
         return nominal, found.nominal.mode(q) / self.gain, found.mode(q) / self.gain
+
+
+def _without_oscillation(plant: CrankAnglePlant) -> CrankAnglePlant:
+    return CrankAnglePlant(
+        plant.engine,
+        runner=plant.runner,
+        profile=plant.profile,
+        orifice=plant.orifice,
+        resolution=plant.resolution,
+    )
 
 
 def _design_sample(uncertain: UncertaintySet, count: int, seed: int) -> Sample:
@@ -222,16 +257,14 @@ def _channel(
     """Fit the weight of a channel to the design sample."""
     cycle = pulses.n_cylinders * event_time(pulses.speed_rpm, pulses.n_cylinders)
     channel = Channel(follow.point, output, q)
-    theta = np.linspace(-np.pi, np.pi, MOST_PHASES)
+    theta = np.linspace(-np.pi, np.pi, PHASES)
 
     def envelope(phases: FloatArray) -> FloatArray:
         nominal, _, samples = follow.measured(pulses, output, q, phases)
         return np.asarray(np.abs(samples - nominal).max(axis=0))
 
     def folded(omega: FloatArray) -> FloatArray:
-        phases = np.concatenate((-omega[::-1], omega)) * cycle
-        both = envelope(np.clip(phases, -np.pi, np.pi))  # pi, but for rounding
-        return np.maximum(both[: omega.size][::-1], both[omega.size :])
+        return np.maximum(envelope(-omega * cycle), envelope(omega * cycle))
 
     found = envelope(theta)
     omega = theta[theta >= 0.0] / cycle
@@ -244,6 +277,11 @@ def _channel(
         name=channel.name,
     )
     fine = np.linspace(0.0, np.pi, FINER * (omega.size - 1) + 1) / cycle
+    residual = folded(fine)
+    check = weight.check(fine, residual)
+    if not check.holds:  # the fit's own finer grid has other points
+        weight = weight.scaled((1.0 + LIFT) / check.min_ratio)
+        check = weight.check(fine, residual)
     nominal, full, samples = follow.measured(pulses, output, q, theta)
     return ChannelUncertainty(
         channel=channel,
@@ -254,7 +292,7 @@ def _channel(
         envelope=found,
         disks=smallest_disks(samples),
         weight=weight,
-        check=weight.check(fine, folded(fine)),
+        check=check,
     )
 
 
@@ -263,11 +301,10 @@ def _scores(
 ) -> FloatArray:
     """Largest residual over the weight of each plant; infinite for one that failed."""
     worst = np.zeros(len(pulses))
+    theta = np.linspace(-np.pi, np.pi, FINER * (PHASES - 1) + 1)
     for found in channels:
-        theta = found.theta
-        nominal, _, samples = follow.measured(
-            pulses, found.channel.output, found.channel.mode, theta
-        )
+        channel = found.channel
+        nominal, _, samples = follow.measured(pulses, channel.output, channel.mode, theta)
         size = found.weight.magnitude(np.abs(theta) / found.weight.dt)
         np.maximum(worst, (np.abs(samples - nominal) / size).max(axis=1), out=worst)
     worst[list(pulses.failures)] = np.inf
@@ -276,10 +313,5 @@ def _scores(
 
 def _scaled(channel: ChannelUncertainty, factor: float) -> ChannelUncertainty:
     check = channel.check
-    return replace(
-        channel,
-        weight=channel.weight.scaled(factor),
-        check=replace(
-            check, min_ratio=factor * check.min_ratio, max_ratio=factor * check.max_ratio
-        ),
-    )
+    scaled = replace(check, min_ratio=factor * check.min_ratio, max_ratio=factor * check.max_ratio)
+    return replace(channel, weight=channel.weight.scaled(factor), check=scaled)

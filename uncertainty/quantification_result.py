@@ -33,7 +33,7 @@ class Quantification:
         Each with its weight.
     coverage : FreshCheck
         Claim and check: the score of a plant is its largest residual over the weight, over all
-        channels and phases at once.
+        channels at once and on a grid of phases eight times finer than theirs.
     scale : float
         Factor on all weights that the calibration sample asked for, at least 1.
     design, calibration, fresh : int
@@ -41,7 +41,8 @@ class Quantification:
     seed : int
         Seed.
     failures : tuple of str
-        Plants that could not be simulated; each counts as outside.
+        Fresh plants that could not be simulated, at each operating point; each such plant
+        counts as outside.
     """
 
     uncertain: UncertaintySet = field(repr=False)
@@ -135,5 +136,5 @@ class Quantification:
             *(f"  {channel}" for channel in self.channels),
         ]
         if self.failures:
-            lines.append(f"{len(self.failures)} plants failed: {self.failures[0]}")
+            lines.append(f"{len(self.failures)} fresh simulations failed: {self.failures[0]}")
         return "\n".join(lines)

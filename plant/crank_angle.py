@@ -328,14 +328,11 @@ class CrankAnglePlant:
 
     def with_engine(self, engine: Engine) -> CrankAnglePlant:
         """Return this plant with another engine, its options kept."""
-        return CrankAnglePlant(
-            engine,
-            runner=self.runner,
-            oscillation=self.oscillation,
-            profile=self.profile,
-            orifice=self.orifice,
-            resolution=self.resolution,
-        )
+        return self._with(engine, self.resolution)
+
+    def with_resolution(self, resolution: float) -> CrankAnglePlant:
+        """Return this plant with another fineness of the integration."""
+        return self._with(self.engine, resolution)
 
     # -- internals ---------------------------------------------------------------------------
 
@@ -431,6 +428,16 @@ class CrankAnglePlant:
             manifolds,
         )
         return values, tables[BEFORE], manifolds[BEFORE]
+
+    def _with(self, engine: Engine, resolution: float) -> CrankAnglePlant:
+        return CrankAnglePlant(
+            engine,
+            runner=self.runner,
+            oscillation=self.oscillation,
+            profile=self.profile,
+            orifice=self.orifice,
+            resolution=resolution,
+        )
 
     def _trace_cycle(self, cycle: Cycle, step_deg: float) -> Trace:
         """Simulate the periodic cycle once more, with signals."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .frequency import LiftedResponse, ModeResponses
     from .lifted_full_plant import full_plant_response
     from .lifted_mean_value import mean_value_modes, mean_value_response
-    from .local_attribution import TornadoBar, TornadoResult
+    from .local_attribution import TornadoBar, TornadoResult, tornado
     from .parameters import UncertainParameter, UncertaintySet
     from .perturbed import PerturbedPlants
     from .plant_deltas import ActuatorOscillationDelta, HelmholtzDelta, ParametricDelta
@@ -123,6 +123,7 @@ _HOME = {
     "sampled_pulses": "pulse_sampling",
     "samples_needed": "coverage",
     "smallest_disks": "disks",
+    "tornado": "local_attribution",
 }
 
 __all__ = [
@@ -197,6 +198,7 @@ __all__ = [
     "sampled_pulses",
     "samples_needed",
     "smallest_disks",
+    "tornado",
 ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from plant import CrankAnglePlant, Engine, ParameterError, SimulationError
-from plant._checks import in_range
+from plant._checks import in_range, positive
 from plant._progress import Progress
 from plant.kinematics import FloatArray
 from plant.region import shortest_deg
@@ -88,8 +88,8 @@ class GridSimulator:
     Raises
     ------
     ParameterError
-        If a grid is empty or does not rise, a lift is not the actuator's, or no point is
-        feasible.
+        If a grid is empty or does not rise, a speed or a duration is not above 0, a lift is not
+        the actuator's, or no point is feasible.
     """
 
     def __init__(
@@ -110,6 +110,8 @@ class GridSimulator:
                 ("durations_deg", durations_deg),
             )
         )
+        positive("speeds_rpm", float(self.grid[0][0]), "rpm")
+        positive("durations_deg", float(self.grid[2][0]), "deg")
         valvetrain = engine.valvetrain
         lifts = valvetrain.lowest_lift_mm, valvetrain.maximum_lift_mm
         for end in (0, -1):

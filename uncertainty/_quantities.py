@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from plant import CrankAnglePlant, ParameterError
+from plant import CrankAnglePlant, ParameterError, ValveCommand
 from plant._checks import positive
 from plant.kinematics import FloatArray
 from plant.region import OperatingPoint
@@ -56,11 +56,11 @@ def checked_points(points: Sequence[OperatingPoint]) -> tuple[OperatingPoint, ..
     Raises
     ------
     ParameterError
-        If there is none, or one is no operating point.
+        If there is none, one is no operating point, or one stands twice.
     """
-    checked = []
+    checked: list[OperatingPoint] = []
     for i, point in enumerate(points):
-        if len(point) != 3:
+        if np.shape(point) != (3,):
             raise ParameterError(
                 f"point {i} is {point!r}, but must be speed_rpm, lift_mm and duration_deg"
             )
@@ -68,10 +68,24 @@ def checked_points(points: Sequence[OperatingPoint]) -> tuple[OperatingPoint, ..
         positive(f"speed_rpm of point {i}", at.speed_rpm, "rpm")
         positive(f"lift_mm of point {i}", at.lift_mm, "mm")
         positive(f"duration_deg of point {i}", at.duration_deg, "deg")
+        if at in checked:
+            raise ParameterError(f"point {i} is {at}, as point {checked.index(at)}: give it once")
         checked.append(at)
     if not checked:
         raise ParameterError("there is no operating point: give one or more")
     return tuple(checked)
+
+
+def check_drivable(plant: CrankAnglePlant, points: Sequence[OperatingPoint]) -> None:
+    """Check that the nominal valve can be driven at points, and half a degree shorter.
+
+    Raises
+    ------
+    InfeasibleProfileError
+        If it cannot; else results would be those of a lift that nobody asked for.
+    """
+    for speed, lift, duration in points:
+        plant.valve_profile(ValveCommand(lift, duration - DURATION_STEP_DEG), speed)
 
 
 def shared_quantities(

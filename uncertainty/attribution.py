@@ -34,6 +34,7 @@ from ._quantities import (
     SHARED,
     UNITS,
     WORDS,
+    check_drivable,
     checked_points,
     full_plant,
     imbalance,
@@ -90,10 +91,13 @@ def attribute(
     ParameterError
         If an argument is out of range, the common parameters are fewer than two, or none of
         them acts on a quantity (the oscillation of a plant without one).
+    InfeasibleProfileError
+        If the nominal valve cannot be driven at a point, or half a degree shorter.
     """
     plant = full_plant(plant)
     points = checked_points(points)
     check(samples, confidence, seed)
+    check_drivable(plant, points)
     common, each = _split(uncertain, plant.engine.n_cylinders)
     if len(common) < 2:
         raise ParameterError(

@@ -108,7 +108,7 @@ class ChannelUncertainty:
 
     @property
     def recentred_radius(self) -> float:
-        """Largest radius about the best centre: what a re-centred nominal would leave."""
+        """Largest radius of the design sample about the best centre; no guarantee is on it."""
         return float(self.disks.radii.max())
 
     def record(self) -> dict[str, Any]:
@@ -163,8 +163,9 @@ class ChannelUncertainty:
         return (
             f"{self.channel.name}: |W| up to {self.peak:.3g} (order {self.weight.order}, "
             f"{self.check.min_ratio:.3f} to {self.check.max_ratio:.2f} times the residual); of "
-            f"it {self.reduction_error:.3g} is the reduction's own; about the best centre "
-            f"{self.recentred_radius:.3g} would do"
+            f"it {self.reduction_error:.3g} is the reduction's own; about the best centre the "
+            f"design sample reaches {self.recentred_radius:.3g} instead of "
+            f"{self.envelope.max():.3g}"
         )
 
 

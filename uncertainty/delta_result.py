@@ -101,6 +101,8 @@ class DeltaResult:
         """Return the result of some of the cases."""
         from dataclasses import replace
 
+        if not cases:
+            raise ParameterError(f"no case is named: name one or more of {', '.join(self.cases)}")
         for case in cases:
             one_of("case", case, self.cases)
         return replace(self, dataset=self.dataset.sel(case=list(cases)))

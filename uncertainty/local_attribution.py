@@ -24,6 +24,7 @@ from ._quantities import (
     SHARED,
     UNITS,
     WORDS,
+    check_drivable,
     checked_points,
     full_plant,
     shared_quantities,
@@ -213,10 +214,18 @@ def tornado(
     TornadoResult
         Its changes are relative to the nominal value, or to 50 mg, 0.5 J and 1 mg/deg where
         that is smaller in magnitude.
+
+    Raises
+    ------
+    ParameterError
+        If the set is empty, or there is no operating point.
+    InfeasibleProfileError
+        If the nominal valve cannot be driven at a point, or half a degree shorter.
     """
     plant = full_plant(plant)
     uncertain = UncertaintySet.plant() if uncertain is None else uncertain
     points = checked_points(points)
+    check_drivable(plant, points)
     sample = nominal_sample(uncertain).joined(one_at_a_time(uncertain))
     total = len(sample) * len(points) * CYCLES_PER_POINT
 

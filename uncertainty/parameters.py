@@ -19,7 +19,7 @@ from typing import Self
 import numpy as np
 
 from plant import Engine, ParameterError
-from plant._checks import in_range, one_of
+from plant._checks import in_range, one_of, whole
 from plant.kinematics import FloatArray
 from plant.parameters import _Replaceable
 from plant.sensors import (
@@ -248,6 +248,7 @@ class UncertaintySet:
     @classmethod
     def cylinders(cls, n_cylinders: int) -> Self:
         """Return what differs from cylinder to cylinder: flow factor and duration offset."""
+        whole("n_cylinders", n_cylinders, 1, 24)
         each: list[UncertainParameter] = []
         for i in range(n_cylinders):
             each.append(

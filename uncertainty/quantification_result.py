@@ -21,7 +21,7 @@ _PANEL = 2.5  # inches
 
 @dataclass(frozen=True)
 class Quantification:
-    """Multiplicative uncertainty of the mean-value plant over operating points and modes.
+    """Uncertainty of the mean-value plant over operating points and modes.
 
     Attributes
     ----------
@@ -128,8 +128,9 @@ class Quantification:
     def __str__(self) -> str:
         """Return the claim, its check and a line for each channel."""
         claim = self.coverage.bound
+        places = f"{len(self.points)} operating point{'s' if len(self.points) > 1 else ''}"
         lines = [
-            f"{len(self.channels)} weights over {len(self.points)} operating points cover at "
+            f"{len(self.channels)} weights over {places} cover at "
             f"least {100.0 * claim.share:.4g} % of the set with {100.0 * claim.confidence:.4g} % "
             f"confidence (all scaled by {self.scale:.3g} for it).",
             str(self.coverage),

@@ -252,6 +252,8 @@ def _listed(roots: ComplexArray) -> str:
 
 
 def _plot(weights: tuple[OverboundingWeight, ...], ax: Axes | None) -> Axes:
+    from matplotlib.ticker import NullFormatter
+
     from plant._plotting import COLOURS, axes, styled
 
     first = weights[0]
@@ -271,6 +273,8 @@ def _plot(weights: tuple[OverboundingWeight, ...], ax: Axes | None) -> Axes:
                 c=COLOURS[k % len(COLOURS)],
                 label=label,
             )
+        if drawn.size > 1 and drawn[-1] > 10.0 * drawn[0]:  # a decade is enough to read them by
+            ax.xaxis.set_minor_formatter(NullFormatter())
         ax.set_xlabel("frequency (rad/s)")
         ax.set_ylabel("magnitude (1)")
         ax.set_title(f"{first.name}: weight and residual" if first.name else "Weight and residual")

@@ -3,6 +3,7 @@ import pytest
 from scipy.signal import lfilter
 
 from plant import (
+    ConvergenceError,
     CrankAnglePlant,
     Engine,
     MafSensor,
@@ -12,6 +13,7 @@ from plant import (
     ValveCommand,
 )
 from plant.air_path import event_time
+from uncertainty import pulse_sampling
 from uncertainty.parameters import UncertaintySet
 from uncertainty.perturbed import PerturbedPlants
 from uncertainty.pulse_sampling import sampled_pulses
@@ -192,6 +194,28 @@ def test_a_failure_is_raised_with_its_number():
     plants = PerturbedPlants(PLANT, draw(ALL, 4, seed=5))
     with pytest.raises(SimulationError, match=r"sample 2 \(\{'flow coefficient'.*pressure is gone"):
         sampled_pulses(plants, POINTS[3000.0], 3000.0)
+
+
+def test_a_plant_that_does_not_come_to_rest_is_followed_with_finer_steps(monkeypatch):
+    # At 6000 rpm one plant in some thousand is held apart for ever at resolution 1.
+    plants = PerturbedPlants(PLANT, draw(ALL, 3, seed=5))
+    truth = sampled_pulses(plants, POINTS[6000.0], 6000.0)
+    original, tried = pulse_sampling.changed_pulse, []
+
+    def restless(operation, *arguments):
+        engine, resolution = operation._plant.engine, operation._plant.resolution
+        if engine == plants.plant_at(1).engine:
+            tried.append(resolution)
+            if resolution == 1.0:
+                raise ConvergenceError("still felt")
+        return original(operation, *arguments)
+
+    monkeypatch.setattr(pulse_sampling, "changed_pulse", restless)
+    found = sampled_pulses(plants, POINTS[6000.0], 6000.0)
+    assert tried == [1.0, 4.0]
+    a, b = (p.responses("air_charge").response for p in (found, truth))
+    np.testing.assert_allclose(a, b, rtol=2e-3)  # another step control, the same plant
+    assert np.any(a[1] != b[1])
 
 
 def test_all_plants_may_fail(monkeypatch):

@@ -340,7 +340,7 @@ def test_records_are_plain_and_complete(found):
 
 def test_the_result_tells_its_claim(found):
     text = str(found)
-    assert text.startswith("6 weights over 1 operating points cover at least 80 % of the set with")
+    assert text.startswith("6 weights over 1 operating point cover at least 80 % of the set with")
     assert "fresh samples" in text
     assert len(text.splitlines()) == 2 + 6
 

@@ -6,7 +6,7 @@ tails, one a sensor lag, are states of their own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -35,12 +35,9 @@ class PulseSum:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "terms", tuple(self.terms))
-        times = {response.event_time for _, response in self.terms}
-        if len(times) != 1:
-            raise ParameterError(
-                f"the responses have event times {sorted(times)} s, but must have one: take them "
-                "at one speed"
-            )
+        if not self.terms:
+            raise ParameterError("the sum has no term: give one pulse response or more")
+        _one_event_time(response for _, response in self.terms)
 
     @property
     def event_time(self) -> float:
@@ -81,10 +78,17 @@ def pulse_bank(
     Raises
     ------
     ParameterError
-        If an output would need the present or a later charge.
+        If an output would need the present or a later charge, the sums are of several event times,
+        or their number is not that of the outputs.
     """
     import control
 
+    if len(sums) != len(outputs) or not sums:
+        raise ParameterError(
+            f"there are {len(sums)} sums for {len(outputs)} outputs: give one sum for each output, "
+            "at least one"
+        )
+    _one_event_time(r for s in sums for _, r in s.terms)
     terms = [(k, factor, r) for k, s in enumerate(sums) for factor, r in s.terms]
     earliest = min(r.first for _, _, r in terms) + latency
     if earliest < 1:
@@ -119,3 +123,12 @@ def pulse_bank(
         + [f"maf_tail_{j + 1}" for j in range(len(tails))],
         name=name,
     )
+
+
+def _one_event_time(responses: Iterable[PulseResponse]) -> None:
+    """Raise if responses have several event times."""
+    times = sorted({response.event_time for response in responses})
+    if len(times) > 1:
+        raise ParameterError(
+            f"the responses have event times {times} s, but must have one: take them at one speed"
+        )

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plant import ParameterError
-from plant._checks import positive
+from plant._checks import positive, whole
 from plant.air_path import ComplexArray
 from plant.kinematics import FloatArray
 
@@ -81,9 +81,11 @@ class UncertainLoop:
                 f"the law has {self.law.ninputs} inputs and {self.law.noutputs} outputs, but must "
                 "have one each: from the estimate to the correction"
             )
-        if not np.isclose(float(self.law.dt), self.measurement.event_time, rtol=1e-9):
+        dt = self.law.dt
+        if dt is None or dt is True or not np.isclose(dt, self.measurement.event_time, rtol=1e-9):
+            given = "not given" if dt is None or dt is True else f"{dt:g} s"
             raise ParameterError(
-                f"the law's sampling time is {float(self.law.dt):g} s, but must be the event time "
+                f"the law's sampling time is {given}, but must be the event time "
                 f"of {self.measurement.event_time:g} s at {self.measurement.speed_rpm:g} rpm"
             )
 
@@ -198,6 +200,8 @@ class UncertainLoop:
     def band(self, q: int, points: int = 101) -> FloatArray:
         """Frequencies of mode `q`, rad/s: half-way to its neighbours on the event circle."""
         n = self.measurement.n_cylinders
+        whole("q", q, 0, n // 2, remedy="the others are mirrored")
+        whole("points", points, 2, 100_000)
         centre = 2.0 * np.pi * q / n
         low, high = max(centre - np.pi / n, 0.0), min(centre + np.pi / n, np.pi)
         return np.linspace(low, high, points) / self.measurement.event_time

@@ -19,20 +19,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plant import CrankAnglePlant, FlowShape, MafSensor, ParameterError, PulseResponse
+from plant import CrankAnglePlant, ParameterError, PulseResponse
 from plant._checks import positive, whole
-from plant.air_path import ComplexArray, event_time
+from plant.air_path import ComplexArray
 from plant.kinematics import FloatArray
-from plant.region import OperatingPoint
 from uncertainty.coverage import FreshCheck, bound_from_scores, check_fresh, samples_needed
-from uncertainty.parameters import DURATION_OFFSET, UncertainParameter, UncertaintySet
+from uncertainty.parameters import UncertainParameter, UncertaintySet
 from uncertainty.perturbed import PerturbedPlants
-from uncertainty.pulse_sampling import SampledPulses, sampled_pulses
+from uncertainty.pulse_sampling import sampled_pulses
 from uncertainty.quantification import default_set
 from uncertainty.sampling import Sample, draw, nominal_sample, one_at_a_time
 from uncertainty.weight_result import OverboundingWeight
 from uncertainty.weights import fit_weight
 
+from ._sampled_estimates import TRIMMED, estimate_response, trimmed_sample
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
 from .linearise import LocalResponse, local_response
@@ -48,11 +48,6 @@ MODELLED = (
     "MAF time constant",
     "MAF delay",
 )
-TRIM = UncertainParameter(
-    "trim", -0.02, 0.02, 0.0, (DURATION_OFFSET,), False, "s", "what the adaptation commands"
-)
-TRIMMED = 2e-3  # relative error of the charge that is left
-_PARTS = 60  # of an event, in the shape of the flow
 _POINTS = 97  # frequencies from 0 to the Nyquist frequency of an event
 _FINER = 4
 
@@ -224,19 +219,32 @@ def uncertain_measurement(
     Raises
     ------
     ParameterError
-        For an unknown parameter, or a sampled plant that cannot be trimmed to the demand.
+        For an unknown parameter or one without a range, or a plant, nominal or sampled, that
+        cannot be trimmed to the demand.
+
+    Notes
+    -----
+    With few design plants, what the other parameters do goes into the directions in part: the
+    description covers its share all the same, but a direction then is less that of its name.
     """
     positive("demand", demand, "kg")
     whole("design", design, 2, 100_000)
     whole("fresh", fresh, 1, 10_000_000)
     estimator = ChargeEstimator() if estimator is None else estimator
     uncertain = default_set() if uncertain is None else uncertain
+    of_model = _modelled(uncertain, modelled)
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(3)]
     local = local_response(plant, feedforward, demand, speed_rpm)
+    if abs(local.charge / demand - 1.0) > TRIMMED:
+        raise ParameterError(
+            f"demand is {1e6 * demand:.0f} mg, but the nominal plant takes in "
+            f"{1e6 * local.charge:.0f} mg with {local.command.duration_deg:.0f} deg, the nearest "
+            f"duration at {speed_rpm:g} rpm: choose a demand within its reach"
+        )
     slope = feedforward.sensitivity(local.charge / local.factor, speed_rpm)
     slope *= local.factor / local.charge  # relative charge per deg, as the controller believes
 
-    bounds = one_at_a_time(uncertain.only(modelled))
+    bounds = one_at_a_time(of_model)
     design_sample = _extended(uncertain, bounds).joined(nominal_sample(uncertain))
     shaped = design_sample.joined(one_at_a_time(uncertain))
     shaped = shaped.joined(draw(uncertain, design, seeds[0], "sobol"))
@@ -247,7 +255,7 @@ def uncertain_measurement(
 
     def follow(sample: Sample) -> list[PulseResponse]:
         nonlocal done
-        trimmed = _trimmed(plant, sample, local, demand, slope)
+        trimmed = trimmed_sample(plant, sample, local, demand, slope)
 
         def report(count: int, _: int) -> None:
             if progress is not None:
@@ -261,7 +269,7 @@ def uncertain_measurement(
             progress=report,
         )
         done += len(sample)
-        return [_estimate(pulses, i, estimator, demand, slope) for i in range(len(pulses))]
+        return [estimate_response(pulses, i, estimator, demand, slope) for i in range(len(pulses))]
 
     found = follow(shaped)
     low, high = found[0 : 2 * len(modelled) : 2], found[1 : 2 * len(modelled) : 2]
@@ -307,6 +315,19 @@ def uncertain_measurement(
     )
 
 
+def _modelled(uncertain: UncertaintySet, names: tuple[str, ...]) -> UncertaintySet:
+    """Return the parameters with a direction after checks."""
+    if not names:
+        raise ParameterError("no parameter is modelled: name one or more of the set")
+    found = uncertain.only(names)
+    for p in found:
+        if p.low == p.high:
+            raise ParameterError(
+                f"parameter {p} has no range, and so no direction: leave it out of modelled"
+            )
+    return found
+
+
 def _fitted(
     uncertain: UncertaintySet,
     modelled: tuple[str, ...],
@@ -348,50 +369,3 @@ def _extended(uncertain: UncertaintySet, part: Sample) -> Sample:
 def _normalised(parameter: UncertainParameter, values: FloatArray) -> FloatArray:
     span = parameter.high - parameter.low
     return (2.0 * values - parameter.low - parameter.high) / span
-
-
-def _trimmed(
-    plant: CrankAnglePlant, sample: Sample, local: LocalResponse, demand: float, slope: float
-) -> Sample:
-    """Return the sample with the change of duration that gives each plant the demand."""
-    uncertain = sample.uncertain + UncertaintySet((TRIM,))
-    point = OperatingPoint(local.speed_rpm, local.command.lift_mm, local.command.duration_deg)
-    degrees = 6.0 * local.speed_rpm
-    trim = np.zeros(len(sample))
-    per_second = slope * local.sensitivity * degrees  # relative charge per s of duration
-    error = np.full(len(sample), np.inf)
-    for _ in range(8):
-        tried = Sample(uncertain, np.column_stack((sample.values, trim)))
-        cycles = PerturbedPlants(plant, tried).steady_cycles(*point, per_cylinder=False)
-        error = cycles["air_charge"].to_numpy()[:, 0] / demand - 1.0
-        if float(np.abs(error).max()) < TRIMMED:
-            return tried
-        trim = trim - error / per_second
-    worst = int(np.argmax(np.abs(error)))
-    raise ParameterError(
-        f"sample {worst} takes in {100.0 * error[worst]:+.1f} % more than the demand of "
-        f"{1e6 * demand:.0f} mg at {local.speed_rpm:g} rpm, whatever its duration: lower the demand"
-    )
-
-
-def _estimate(
-    pulses: SampledPulses, i: int, estimator: ChargeEstimator, demand: float, slope: float
-) -> PulseResponse:
-    """Response of the estimate to a correction on one plant."""
-    pulse = pulses.pulses[i]
-    assert pulse is not None  # failures are raised
-    gain = float(pulse.charge.sum()) / pulses.step / demand / slope
-    events, samples = pulse.flow.shape
-    shares = pulse.flow.reshape(events * _PARTS, samples // _PARTS).sum(axis=1)
-    maf = pulses.plants.maf_at(i, MafSensor())
-    response = PulseResponse.of_window(
-        event_time(pulses.speed_rpm, pulses.n_cylinders),
-        time_constant=maf.time_constant,
-        delay=maf.delay,
-        shape=FlowShape(shares / shares.sum(), _PARTS),
-        shift=estimator.delay,
-        taper=estimator.taper,
-        correction=estimator.time_constant,
-    )
-    taps = gain * (1.0 + maf.gain_error) * response.taps
-    return PulseResponse(response.event_time, response.first, taps, response.pole)

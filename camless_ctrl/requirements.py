@@ -184,8 +184,9 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at least",
             _DESIGN,
-            "smallest ratio of a weight to the largest residual of the design sample of full "
-            "plants, over all channels, on a grid eight times finer than that of the fit",
+            "smallest ratio of a weight, before its factor for coverage, to the largest residual "
+            "of the design sample of full plants, over all channels, at phases that the fit has "
+            "not seen",
         ),
         Requirement(
             "uncertainty-coverage",

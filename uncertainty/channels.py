@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plant.air_path import ComplexArray
+from plant.air_path import ComplexArray, FlowShape
 from plant.kinematics import FloatArray
 from plant.region import OperatingPoint
 
@@ -42,8 +42,10 @@ class Channel:
 
     @property
     def name(self) -> str:
-        """Output, mode and speed."""
-        return f"{OUTPUT_WORDS[self.output]} q={self.mode} at {self.point.speed_rpm:g} rpm"
+        """Output, mode and operating point."""
+        speed, lift, duration = self.point
+        word = OUTPUT_WORDS[self.output]
+        return f"{word} q={self.mode} at {speed:g} rpm, {lift:g} mm, {duration:g} deg"
 
     def __str__(self) -> str:
         """Return `name`."""
@@ -68,7 +70,9 @@ class ChannelUncertainty:
     charge : ndarray (f,)
         Response ``m`` of the mean-value plant's charge, relative.
     nominal : ndarray (f,)
-        Response ``g0/m`` of the mean-value plant: 1 for the charge.
+        Response ``g0/m`` of the mean-value plant: 1 for the charge; for the MAF average that of
+        the nominal sensor and the flow shape of the nominal full plant, which is not the even
+        flow that `MeanValueDynamics` assumes by default.
     full : ndarray (f,)
         Response ``g/m`` of the nominal full plant.
     envelope : ndarray (f,)
@@ -78,7 +82,12 @@ class ChannelUncertainty:
     weight : OverboundingWeight
         ``W`` per cycle, scaled to the guarantee.
     check : WeightCheck
-        ``|W|`` against the envelope on a grid eight times finer.
+        The weight before its factor against the design sample, at phases between those that the
+        fit has seen.
+    scale : float
+        Factor of the guarantee in ``weight``.
+    flow_shape : FlowShape or None
+        Flow shape in ``nominal``; None for the charge, and for given dynamics.
     """
 
     channel: Channel
@@ -90,6 +99,8 @@ class ChannelUncertainty:
     disks: CoveringDisks = field(repr=False)
     weight: OverboundingWeight
     check: WeightCheck
+    scale: float = 1.0
+    flow_shape: FlowShape | None = field(default=None, repr=False)
 
     @property
     def reduction_error(self) -> float:
@@ -124,6 +135,7 @@ class ChannelUncertainty:
             "order": self.weight.order,
             "min_ratio": self.check.min_ratio,
             "max_ratio": self.check.max_ratio,
+            "scale": self.scale,
             "peak": self.peak,
             "reduction_error": self.reduction_error,
             "recentred_radius": self.recentred_radius,
@@ -162,10 +174,10 @@ class ChannelUncertainty:
         """Return what the weight allows and how tight it is."""
         return (
             f"{self.channel.name}: |W| up to {self.peak:.3g} (order {self.weight.order}, "
-            f"{self.check.min_ratio:.3f} to {self.check.max_ratio:.2f} times the residual); of "
-            f"it {self.reduction_error:.3g} is the reduction's own; about the best centre the "
-            f"design sample reaches {self.recentred_radius:.3g} instead of "
-            f"{self.envelope.max():.3g}"
+            f"{self.check.min_ratio:.3f} to {self.check.max_ratio:.2f} times the residual, then "
+            f"scaled by {self.scale:.3g}); of it {self.reduction_error:.3g} is the reduction's "
+            f"own; about the best centre the design sample reaches {self.recentred_radius:.3g} "
+            f"instead of {self.envelope.max():.3g}"
         )
 
 

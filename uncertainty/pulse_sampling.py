@@ -63,6 +63,8 @@ class SampledPulses:
         Charge that changes are relative to, kg.
     nominal : Pulse
         Effect on the nominal plant.
+    nominal_half : Pulse
+        Effect on it of half the change.
     pulses : tuple of Pulse or None
         Effect on each plant; None for one that failed.
     charge : tuple of float
@@ -79,6 +81,7 @@ class SampledPulses:
     step: float
     reference_charge: float
     nominal: Pulse = field(repr=False)
+    nominal_half: Pulse = field(repr=False)
     pulses: tuple[Pulse | None, ...] = field(repr=False)
     charge: tuple[float, ...] = field(repr=False)
     failures: dict[int, str]
@@ -91,6 +94,23 @@ class SampledPulses:
     def n_cylinders(self) -> int:
         """Number of cylinders."""
         return self.plants.plant.engine.n_cylinders
+
+    def linearity_error(self, output: Output = "air_charge") -> float:
+        """Change of the nominal plant's response when the change is halved, over its largest gain.
+
+        Parameters
+        ----------
+        output : {"air_charge", "maf"}
+            As for `responses`.
+        """
+        one_of("output", output, OUTPUTS)
+        z = np.exp(1j * np.linspace(0.0, np.pi, 61))
+        T = event_time(self.speed_rpm, self.n_cylinders)
+        whole_, half = (
+            series(pulse, step, output, T, self.maf)(z)
+            for pulse, step in ((self.nominal, self.step), (self.nominal_half, 0.5 * self.step))
+        )
+        return float(np.abs(whole_ - half).max() / np.abs(half).max())
 
     def flow_shape(self, parts: int = SAMPLES) -> FlowShape:
         """How the charge that a changed command adds to the nominal plant passes the throttle.
@@ -358,6 +378,7 @@ def sampled_pulses(
         step=step,
         reference_charge=positive("reference_charge", reference, "kg"),
         nominal=changed_pulse(nominal, 0, input, step, most_events, tolerance),
+        nominal_half=changed_pulse(nominal, 0, input, 0.5 * step, most_events, tolerance),
         pulses=tuple(pulses),
         charge=tuple(charges),
         failures=failures,

@@ -23,6 +23,7 @@ import numpy as np
 from plant import (
     CrankAnglePlant,
     MafSensor,
+    MeanValueDynamics,
     MeanValuePlant,
     ParameterError,
     PulseResponse,
@@ -40,6 +41,7 @@ from .channels import Channel, ChannelUncertainty, folded_envelope
 from .coverage import bound_from_scores, check_fresh, samples_needed
 from .disks import smallest_disks
 from .frequency import OUTPUTS, Output
+from .lifted_mean_value import mean_value_modes
 from .parameters import UncertaintySet
 from .perturbed import PerturbedPlants
 from .pulse_sampling import SampledPulses, sampled_pulses
@@ -49,7 +51,7 @@ from .weights import fit_weight
 
 PHASES = 41  # cycle phases from -pi to pi
 FINER = 8  # parts into which checks and scores cut each interval between them
-LIFT = 1e-9  # relative: keeps a bound through rounding
+LIFT = 1e-3  # relative: keeps a bound between the phases that the fit has seen
 FLOOR = 0.02  # share of a channel's largest residual below which it need not be tight
 
 Progress = Callable[[int, int], None]
@@ -65,6 +67,7 @@ def quantify(
     plant: CrankAnglePlant | None = None,
     maps: MeanValuePlant | None = None,
     *,
+    dynamics: MeanValueDynamics | None = None,
     uncertain: UncertaintySet | None = None,
     points: Sequence[OperatingPoint] = DEFAULT_POINTS,
     share: float = 0.99,
@@ -83,6 +86,10 @@ def quantify(
     maps : MeanValuePlant, optional
         Mean-value plant; fitted to the full plant without oscillation by default (some
         seconds).
+    dynamics : MeanValueDynamics, optional
+        Dynamics of the maps, about whose MAF average the residuals are then taken, its flow shape
+        and all. By default the nominal measurement has the flow shape of the nominal full plant,
+        which each MAF channel keeps.
     uncertain : UncertaintySet, optional
         What is uncertain, equal for all cylinders; `default_set` by default.
     points : sequence of OperatingPoint
@@ -122,14 +129,23 @@ def quantify(
     calibration = draw(uncertain, samples_needed(share, confidence), seeds[1])
     unseen = draw(uncertain, fresh, seeds[2])
     if maps is None:
-        maps = MeanValuePlant.fit(_without_oscillation(plant))
+        maps = (
+            MeanValuePlant.fit(_without_oscillation(plant)) if dynamics is None else dynamics.maps
+        )
+    if maps.engine.n_cylinders != plant.engine.n_cylinders:
+        raise ParameterError(
+            f"the maps are those of {maps.engine.n_cylinders} cylinders, but the full plant has "
+            f"{plant.engine.n_cylinders}: fit maps to a plant of that engine"
+        )
+    if dynamics is not None and dynamics.maps is not maps:
+        raise ParameterError("the dynamics are those of other maps: give maps.dynamics(...)")
 
     each = len(shape) + len(calibration) + len(unseen)
     scores = np.zeros(len(calibration)), np.zeros(len(unseen))
     channels: list[ChannelUncertainty] = []
     failures: list[str] = []
     followers = [
-        _Follower(plant, maps, point, k * each, len(points) * each, progress)
+        _Follower(plant, maps, dynamics, point, k * each, len(points) * each, progress)
         for k, point in enumerate(points)
     ]
     for follow in followers:
@@ -153,7 +169,7 @@ def quantify(
     return Quantification(
         uncertain=uncertain,
         input="duration_deg",
-        channels=tuple(_scaled(channel, scale) for channel in channels),
+        channels=tuple(replace(c, weight=c.weight.scaled(scale), scale=scale) for c in channels),
         coverage=check_fresh(bound, scores[1]),
         scale=scale,
         design=len(shape),
@@ -170,6 +186,7 @@ class _Follower:
 
     plant: CrankAnglePlant
     maps: MeanValuePlant
+    dynamics: MeanValueDynamics | None
     point: OperatingPoint
     done: int
     total: int
@@ -222,8 +239,19 @@ class _Follower:
         found = pulses.responses(output, modes=[q], theta=theta)
         z = mode_points(theta, q, pulses.n_cylinders)
         nominal = np.ones_like(z)
-        if output == "maf":
+        dynamics = self.dynamics
+        if output == "maf" and dynamics is None:
             nominal = _measurement(pulses)(z)
+        elif output == "maf" and dynamics is not None:
+            own = mean_value_modes(
+                dynamics,
+                self.command,
+                self.point.speed_rpm,
+                output=output,
+                modes=[q],
+                theta=theta,
+            )
+            nominal = own.mode(q) / self.gain
         return nominal, found.nominal.mode(q) / self.gain, found.mode(q) / self.gain
 
 
@@ -276,12 +304,12 @@ def _channel(
         finer=folded,
         name=channel.name,
     )
+    # What the fit has seen is lifted by a little; the check is made where it has not been.
     fine = np.linspace(0.0, np.pi, FINER * (omega.size - 1) + 1) / cycle
-    residual = folded(fine)
-    check = weight.check(fine, residual)
-    if not check.holds:  # the fit's own finer grid has other points
-        weight = weight.scaled((1.0 + LIFT) / check.min_ratio)
-        check = weight.check(fine, residual)
+    least = weight.check(fine, folded(fine)).min_ratio
+    weight = weight.scaled((1.0 + LIFT) / min(least, 1.0))
+    between = 0.5 * (fine[1:] + fine[:-1])
+    check = weight.check(between, folded(between))
     nominal, full, samples = follow.measured(pulses, output, q, theta)
     return ChannelUncertainty(
         channel=channel,
@@ -293,6 +321,7 @@ def _channel(
         disks=smallest_disks(samples),
         weight=weight,
         check=check,
+        flow_shape=pulses.flow_shape() if output == "maf" and follow.dynamics is None else None,
     )
 
 
@@ -309,9 +338,3 @@ def _scores(
         np.maximum(worst, (np.abs(samples - nominal) / size).max(axis=1), out=worst)
     worst[list(pulses.failures)] = np.inf
     return worst
-
-
-def _scaled(channel: ChannelUncertainty, factor: float) -> ChannelUncertainty:
-    check = channel.check
-    scaled = replace(check, min_ratio=factor * check.min_ratio, max_ratio=factor * check.max_ratio)
-    return replace(channel, weight=channel.weight.scaled(factor), check=scaled)

@@ -139,14 +139,15 @@ def _print(console: Console, deltas: AllDeltas, found: Quantification, sobol: So
     console.print(str(deltas), markup=False)
     print_table(
         console,
-        "Weights: largest magnitude, and ratio to the residual",
+        "Weights (MAF: with the nominal full plant's flow shape): largest magnitude, and ratio to "
+        "the residual",
         ["channel", "order", "weight", "ratio", "reduction alone"],
         [
             [
                 c.channel.name,
                 str(c.weight.order),
                 f"{100.0 * c.peak:.1f} %",
-                f"{c.check.min_ratio:.2f} to {c.check.max_ratio:.2f}",
+                f"{c.check.min_ratio:.3f} to {c.check.max_ratio:.2f}",
                 f"{100.0 * c.reduction_error:.2f} %",
             ]
             for c in found.channels

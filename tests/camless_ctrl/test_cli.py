@@ -185,8 +185,9 @@ def test_simulate_tells_balance_with_adaptation_and_its_lack_without(tmp_path, c
 
 @pytest.mark.usefixtures("_coarse_maps")
 def test_analyse_reports_the_worst_speed(tmp_path, capsys):
-    status = main(["analyse", "--speed-rpm", "1500", "--json", "a.json"])
+    status = main(["analyse", "--speed-rpm", "1500", "--no-uncertainty", "--json", "a.json"])
     content = json.loads((tmp_path / "a.json").read_text())
+    assert "uncertainty" not in content
     (speed,) = content["speeds"]
     assert speed["speed_rpm"] == 1500.0
     assert len(speed["modes"]) == 3  # of four cylinders: mean, once per cycle, alternating
@@ -194,6 +195,47 @@ def test_analyse_reports_the_worst_speed(tmp_path, capsys):
     names = {row["name"] for row in content["requirements"]}
     assert names == {name for name in REQUIREMENTS if name.startswith("loop-")}
     assert "1500 rpm" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_coarse_maps")
+def test_analyse_writes_the_uncertainty(tmp_path, capsys, monkeypatch):
+    from plant import OperatingPoint
+    from uncertainty import attribute, evaluate_all, quantify
+
+    points = (OperatingPoint(1500.0, 3.0, 120.0),)
+
+    def small(maps, seed, progress):
+        return (
+            evaluate_all(speeds_rpm=(1500.0,), lifts_mm=(3.0,), durations_deg=(120.0,)),
+            quantify(maps=maps, points=points, share=0.8, confidence=0.8, design=8, fresh=20),
+            attribute(points=points, samples=64),
+        )
+
+    monkeypatch.setattr("camless_ctrl.cli.analyse._quantify", small)
+    main(["analyse", "--speed-rpm", "1500", "--json", "a.json"])
+    content = json.loads((tmp_path / "a.json").read_text())
+    found = content["uncertainty"]
+    assert set(found) == {"deltas", "weights", "coverage", "sobol"}
+    assert len(found["deltas"]) == 4 + 2  # the four deltas, their sum, and all at once
+    for row in found["deltas"]:
+        assert {"name", "worst_charge", "worst_loss", "at"} <= set(row)
+        assert row["at"]["speed_rpm"] == 1500.0
+    assert len(found["weights"]) == 2 * 3  # charge and MAF, modes 0 to 2
+    for row in found["weights"]:
+        assert {"channel", "order", "min_ratio", "max_ratio"} <= set(row)
+        assert 1.0 <= row["min_ratio"] <= row["max_ratio"]
+    coverage = found["coverage"]
+    assert (coverage["claimed"], coverage["confidence"]) == (0.8, 0.8)
+    assert 0 <= coverage["fresh_inside"] <= coverage["fresh_samples"] == 20
+    assert {row["quantity"] for row in found["sobol"]} == {
+        "charge",
+        "loss",
+        "loop_gain",
+        "imbalance",
+    }
+    names = {row["name"] for row in content["requirements"]}
+    assert {"uncertainty-weights", "uncertainty-coverage"} < names
+    assert "of 20 fresh samples" in capsys.readouterr().out
 
 
 def test_validate_writes_what_it_prints(tmp_path, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import sobol_indices
 
-from plant import CrankAnglePlant, Engine, OperatingPoint, ParameterError
+from plant import CrankAnglePlant, Engine, InfeasibleProfileError, OperatingPoint, ParameterError
 from uncertainty._sobol import sobol
 from uncertainty.attribution import attribute
 from uncertainty.parameters import UncertaintySet
@@ -232,6 +232,8 @@ def test_what_does_not_vary_cannot_be_attributed():
         attribute(points=())
     with pytest.raises(ParameterError, match="speed_rpm of point 0"):
         attribute(points=(OperatingPoint(-1.0, 3.0, 100.0),))
+    with pytest.raises(InfeasibleProfileError, match="cannot reach 7 mm"):
+        attribute(points=(POINT, OperatingPoint(6000.0, 7.0, 60.0)), samples=64)
 
 
 def test_one_cylinder_has_no_imbalance_and_progress_ends_full():

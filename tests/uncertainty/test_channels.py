@@ -46,7 +46,10 @@ def test_the_envelope_is_folded_onto_the_larger_side():
 
 @pytest.mark.parametrize(
     ("output", "mode", "name"),
-    [("air_charge", 0, "charge q=0 at 1500 rpm"), ("maf", 2, "MAF q=2 at 1500 rpm")],
+    [
+        ("air_charge", 0, "charge q=0 at 1500 rpm, 3 mm, 120 deg"),
+        ("maf", 2, "MAF q=2 at 1500 rpm, 3 mm, 120 deg"),
+    ],
 )
 def test_a_channel_is_named_by_output_mode_and_speed(output, mode, name):
     channel = Channel(POINT, output, mode)
@@ -61,7 +64,7 @@ def test_the_figures_of_a_known_gain():
     assert found.recentred_radius == pytest.approx(0.2)
     record = found.record()
     assert (record["channel"], record["output"], record["mode"]) == (
-        "charge q=0 at 1500 rpm",
+        "charge q=0 at 1500 rpm, 3 mm, 120 deg",
         "air_charge",
         0,
     )

@@ -342,6 +342,8 @@ def test_envelopes_bound_every_case_and_touch_one(helmholtz):
 
 
 def test_a_result_of_one_case_is_that_of_a_delta_with_one_case(helmholtz):
+    with pytest.raises(ParameterError, match="no case is named"):
+        helmholtz.only()
     grid = {
         f"{dim}s_{unit}": helmholtz.dataset[dim].values
         for dim, unit in (("speed", "rpm"), ("lift", "mm"), ("duration", "deg"))
@@ -385,6 +387,10 @@ def test_progress_counts_all_plants_and_bad_input_is_refused():
     assert calls == sorted(calls)
     with pytest.raises(ParameterError, match="no point of the grid is feasible"):
         HelmholtzDelta().evaluate(speeds_rpm=(6000.0,), lifts_mm=(7.0,), durations_deg=(60.0,))
+    with pytest.raises(ParameterError, match=r"speeds_rpm is -100 rpm, but must be .*above 0"):
+        HelmholtzDelta().evaluate(speeds_rpm=(-100.0, 1500.0))
+    with pytest.raises(ParameterError, match=r"durations_deg is 0 deg, but must be .*above 0"):
+        HelmholtzDelta().evaluate(durations_deg=(0.0, 120.0))
     with pytest.raises(ParameterError, match="lifts_mm is"):
         HelmholtzDelta().evaluate(lifts_mm=(3.0, 2.0))
     with pytest.raises(ParameterError, match="lifts_mm is 9 mm"):

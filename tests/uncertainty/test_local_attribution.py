@@ -3,7 +3,13 @@ import json
 import numpy as np
 import pytest
 
-from plant import CrankAnglePlant, OperatingPoint, ParameterError, ValveCommand
+from plant import (
+    CrankAnglePlant,
+    InfeasibleProfileError,
+    OperatingPoint,
+    ParameterError,
+    ValveCommand,
+)
 from uncertainty.local_attribution import TornadoBar, _result, tornado
 from uncertainty.parameters import UncertainParameter, UncertaintySet
 from uncertainty.perturbed import PerturbedPlants
@@ -121,6 +127,8 @@ def test_bad_requests_are_refused(result):
         result.bars("charge", 2)
     with pytest.raises(ParameterError, match="no operating point"):
         tornado(points=())
+    with pytest.raises(InfeasibleProfileError, match="cannot reach 7 mm"):
+        tornado(points=(OperatingPoint(6000.0, 7.0, 60.0),))
 
 
 def test_progress_ends_full():

@@ -151,3 +151,9 @@ def test_factors_that_are_impossible_only_together_are_found():
     UncertaintySet((one,)).check_engine(engine)
     with pytest.raises(ParameterError, match=r"oscillation_decay_ratio is 1\.16"):
         UncertaintySet((one, two)).check_engine(engine)
+
+
+@pytest.mark.parametrize("number", [0, 2.5])
+def test_a_set_of_cylinders_needs_a_number_of_them(number):
+    with pytest.raises(ParameterError, match="n_cylinders"):
+        UncertaintySet.cylinders(number)

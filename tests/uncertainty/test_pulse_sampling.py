@@ -257,3 +257,13 @@ def test_readings_need_windows_from_tdc_to_tdc():
     assert pulses.responses("air_charge").response.shape == (1, 3, 41)
     with pytest.raises(ParameterError, match="opening_deg is 5 deg"):
         pulses.responses("maf")
+
+
+@pytest.mark.parametrize("output", ["air_charge", "maf"])
+def test_half_the_change_gives_the_same_response_but_for_curvature(output):
+    # The central difference errs by the third derivative: a fourth of it at half the change.
+    errors = []
+    for amplitude in (0.04, 0.02):
+        pulses = nominal_pulses(1500.0, amplitude=amplitude)
+        errors.append(pulses.linearity_error(output))
+    assert 0.0 < errors[1] < errors[0] < 0.05

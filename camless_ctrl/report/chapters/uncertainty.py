@@ -76,7 +76,9 @@ class UncertaintyChapter:
                     "event, and to what the air-flow sensor shows of it. Equal cylinders split "
                     "into circulant modes: the mean (q = 0) and the imbalances (q = 1 once per "
                     "cycle, q = 2 alternating). A residual is the distance of a plant from the "
-                    "mean-value plant, in units of the mean-value plant's change of charge. "
+                    "mean-value plant, in units of the mean-value plant's change of charge. What "
+                    "the sensor should show of that change is computed with the flow shape of the "
+                    "nominal full plant; an even flow over the event would be further off. "
                     "{parameters:.0f} parameters vary at once, each uniformly between bounds that "
                     "are assumed.",
                     points=Number(len(found.points)),
@@ -186,7 +188,7 @@ def _sobol_figure(context: Context, sobol: SobolResult) -> Figure:
         Text(
             "Sobol' indices of the charge. At {speed:.0f} its spread is {spread:.1f} (1 sigma), of "
             "which {first} explains {index:.0f}; of the loop gain's {gain_spread:.1f}, {gain} "
-            "explains {gain_index:.0f}. Intervals hold with {index_confidence:.0f} confidence each.",
+            "explains {gain_index:.0f}. Each interval has {index_confidence:.0f} confidence.",
             speed=Number(point.speed_rpm, "rpm"),
             spread=Number(100.0 * sobol.relative_std("charge", _TORNADO_POINT), "%"),
             first=first.parameter,

@@ -16,6 +16,7 @@ from uncertainty.pulse_sampling import SampledPulses
 from uncertainty.sampling import Sample
 
 from .estimator import ChargeEstimator
+from .feedforward import Feedforward
 from .linearise import LocalResponse
 
 TRIM = UncertainParameter(
@@ -29,17 +30,21 @@ _PARTS = 60  # of an event, in the shape of the flow
 def trimmed_sample(
     plant: CrankAnglePlant, sample: Sample, local: LocalResponse, demand: float, slope: float
 ) -> Sample:
-    """Return the sample with the change of duration that gives each plant the demand."""
+    """Return the sample with the change of duration that each plant's adaptation settles at.
+
+    There the *estimate* meets the demand: with a gain error of the sensor the charge does not.
+    """
     uncertain = sample.uncertain + UncertaintySet((TRIM,))
     point = OperatingPoint(local.speed_rpm, local.command.lift_mm, local.command.duration_deg)
     degrees = 6.0 * local.speed_rpm
     trim = np.zeros(len(sample))
     per_second = slope * local.sensitivity * degrees  # relative charge per s of duration
     error = np.full(len(sample), np.inf)
+    seen = np.array([1.0 + gain_error(sample, i) for i in range(len(sample))])
     for _ in range(_TRIMS):
         tried = Sample(uncertain, np.column_stack((sample.values, trim)))
         cycles = PerturbedPlants(plant, tried).steady_cycles(*point, per_cylinder=False)
-        error = cycles["air_charge"].to_numpy()[:, 0] / demand - 1.0
+        error = seen * cycles["air_charge"].to_numpy()[:, 0] / demand - 1.0
         if float(np.abs(error).max()) < TRIMMED:
             return tried
         trim = trim - error / per_second
@@ -53,13 +58,27 @@ def trimmed_sample(
     )
 
 
+def gain_error(sample: Sample, i: int) -> float:
+    """Gain error of the MAF sensor of a plant."""
+    values = sample.at(i)
+    return sum(values[p.name] for p in sample.uncertain if p.acts_on == ("maf.gain_error",))
+
+
 def estimate_response(
-    pulses: SampledPulses, i: int, estimator: ChargeEstimator, demand: float, slope: float
+    pulses: SampledPulses, i: int, estimator: ChargeEstimator, feedforward: Feedforward
 ) -> PulseResponse:
-    """Response of the estimate to a correction on one plant."""
+    """Response of the estimate to a correction on one plant.
+
+    The correction is relative to what the map promises at the duration that this plant's
+    adaptation has settled at, and moves the duration by the slope of the map there.
+    """
     pulse = pulses.pulses[i]
     assert pulse is not None  # failures are raised
-    gain = float(pulse.charge.sum()) / pulses.step / demand / slope
+    speed, command = pulses.speed_rpm, pulses.command
+    trim = 6.0 * speed * pulses.plants.sample.at(i)[TRIM.name]
+    promised = feedforward.charge_at(command.duration_deg + trim, speed)
+    slope = feedforward.sensitivity(promised, speed) / promised  # relative, per deg
+    gain = float(pulse.charge.sum()) / pulses.step / pulses.charge[i] / slope
     events, samples = pulse.flow.shape
     flow = np.append(pulse.flow, 0.0)  # linear between its samples
     shares = (flow[1:] + flow[:-1]).reshape(events * _PARTS, samples // _PARTS).sum(axis=1)
@@ -73,5 +92,5 @@ def estimate_response(
         taper=estimator.taper,
         correction=estimator.time_constant,
     )
-    taps = gain * (1.0 + maf.gain_error) * response.taps
+    taps = gain * response.taps  # a gain error scales estimate and demand of a plant alike
     return PulseResponse(response.event_time, response.first, taps, response.pole)

@@ -121,6 +121,11 @@ class Feedforward:
         duration = float(np.interp(reached, branch.charge, branch.duration_deg))
         return FeedforwardCommand(ValveCommand(lift, duration), reached, reached != charge)
 
+    def charge_at(self, duration_deg: float, speed_rpm: float) -> float:
+        """Charge that the map promises at a duration, kg; held beyond the branch."""
+        branch = self._branch(float(speed_rpm))
+        return float(np.interp(duration_deg, branch.duration_deg, branch.charge))
+
     def sensitivity(self, charge: float, speed_rpm: float) -> float:
         """Slope of the map's charge over duration where it gives a charge (kg), kg/deg."""
         branch = self._branch(float(speed_rpm))

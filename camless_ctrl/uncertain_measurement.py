@@ -41,13 +41,8 @@ from .pulse_bank import PulseSum
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MODELLED = (
-    "temperature",
-    "flow coefficient",
-    "MAF gain error",
-    "MAF time constant",
-    "MAF delay",
-)
+# A gain error of the sensor has no direction: the estimate meets the demand all the same.
+MODELLED = ("temperature", "flow coefficient", "MAF time constant", "MAF delay")
 _POINTS = 97  # frequencies from 0 to the Nyquist frequency of an event
 _FINER = 4
 
@@ -269,7 +264,7 @@ def uncertain_measurement(
             progress=report,
         )
         done += len(sample)
-        return [estimate_response(pulses, i, estimator, demand, slope) for i in range(len(pulses))]
+        return [estimate_response(pulses, i, estimator, feedforward) for i in range(len(pulses))]
 
     found = follow(shaped)
     low, high = found[0 : 2 * len(modelled) : 2], found[1 : 2 * len(modelled) : 2]

@@ -48,9 +48,10 @@ class GainSchedule:
     """Adaptation gains over speed, linear between the nodes and held outside.
 
     The defaults fall with speed, those of the imbalance fastest: the lag amplifies the noise of
-    an estimate by about ``tau/T``. From 5000 rpm up they are zero: there the assumed range of
-    MAF delay turns the sign of the alternating mode, so that no gain is stable over it, and
-    the differences between cylinders are held as they were learnt at lower speed.
+    an estimate by about ``tau/T``. From 3600 rpm up they are zero: there the measurement of the
+    alternating mode vanishes for some engine of the assumed set (a MAF delay of 3 ms, above
+    all), so that no gain is robust, and the differences between cylinders are held as they were
+    learnt at lower speed.
 
     Parameters
     ----------
@@ -60,9 +61,9 @@ class GainSchedule:
         Gains per cycle at the nodes.
     """
 
-    speed_rpm: tuple[float, ...] = (750.0, 1500.0, 3000.0, 4500.0, 5000.0, 6000.0)  # rpm
-    mean: tuple[float, ...] = (0.4, 0.4, 0.3, 0.25, 0.23, 0.2)  # 1
-    imbalance: tuple[float, ...] = (0.4, 0.4, 0.2, 0.14, 0.0, 0.0)  # 1
+    speed_rpm: tuple[float, ...] = (750.0, 1500.0, 3000.0, 3500.0, 3600.0, 6000.0)  # rpm
+    mean: tuple[float, ...] = (0.4, 0.4, 0.3, 0.28, 0.28, 0.2)  # 1
+    imbalance: tuple[float, ...] = (0.4, 0.4, 0.2, 0.16, 0.0, 0.0)  # 1
 
     def __post_init__(self) -> None:
         nodes = len(self.speed_rpm)

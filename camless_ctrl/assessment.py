@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from plant.validation import ValidationReport
     from uncertainty.quantification_result import Quantification
 
+    from .robust_analysis import RobustAnalysis
     from .robustness import RobustnessResult
+    from .structured_robustness import StructuredRobustness
 
 AFTER_CYCLES = 10  # after each load step, before errors are averaged
 
@@ -93,6 +96,38 @@ def assess_robustness(results: Sequence[RobustnessResult]) -> list[RequirementRe
         # The largest is the least of the negatives: a NaN must not be lost.
         evaluate("loop-small-gain", -least(-r.small_gain for r in results)),
     ]
+
+
+def assess_structured(found: RobustAnalysis) -> list[RequirementResult]:
+    """Requirements on the structured robustness of the loop and on its confirmation."""
+    mus = [(_ceiling(s.structured), s.speed_rpm) for s in found.speeds]
+    worst, at = max(mus, key=lambda pair: (math.isnan(pair[0]), pair[0]))
+    linear = sum(s.lti.violations for s in found.speeds if s.lti is not None)
+    plants = sum(s.plant_violations for s in found.speeds)
+    runs = sum(len(s.plants) for s in found.speeds)
+    members = sum(s.lti.samples for s in found.speeds if s.lti is not None)
+    tight = [s.tightness for s in found.speeds if s.tightness is not None]
+    off = [(100.0 * abs(t.ratio - 1.0), t.speed_rpm) for t in tight]
+    furthest = max(off, default=(math.nan, math.nan))
+    return [
+        evaluate("loop-robust-performance", worst, f"at {at:g} rpm"),
+        evaluate(
+            "loop-sound",
+            linear + plants if members and runs else math.nan,
+            f"{linear} of {members} linear members, {plants} of {runs} full plants",
+        ),
+        evaluate(
+            "loop-tight",
+            furthest[0],
+            f"at {furthest[1]:g} rpm, of {len(off)} speeds" if off else "not tried",
+        ),
+    ]
+
+
+def _ceiling(found: StructuredRobustness) -> float:
+    """Bound of mu for performance at all frequencies; NaN without one."""
+    performance = found.performance
+    return performance.ceiling if performance is not None else math.nan
 
 
 def assess_load_step(runs: Sequence[ClosedLoopResult]) -> list[RequirementResult]:

@@ -241,6 +241,34 @@ REQUIREMENTS: dict[str, Requirement] = {
             "largest |w T| of any mode at any speed, w the bound on the relative gain error",
         ),
         Requirement(
+            "loop-robust-performance",
+            1.0,
+            "1",
+            "at most",
+            _DESIGN,
+            "largest structured singular value for robust performance at any speed: the error of "
+            "no cylinder is amplified more than twice, whatever engine and sensor of the set; "
+            "proved at all frequencies",
+        ),
+        Requirement(
+            "loop-sound",
+            0.0,
+            "cases",
+            "at most",
+            _DESIGN,
+            "linear members and full plants in closed loop, sampled from the set, that are "
+            "unstable or amplify an error more than was proved",
+        ),
+        Requirement(
+            "loop-tight",
+            25.0,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest deviation of the distance at which the full plant breaks along the worst "
+            "direction from the predicted one, with gains raised until the break is in reach",
+        ),
+        Requirement(
             "cylinder-error",
             1.0,
             "%",

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from plant import CrankAnglePlant, Engine, MeanValuePlant
+from plant import CrankAnglePlant, Engine, MeanValuePlant, ParameterError
 
 from .adaptation import GainSchedule
 from .disk_margins import DiskMargins, disk_margins
@@ -37,6 +37,7 @@ from .uncertain_measurement import UncertainMeasurement, uncertain_measurement
 
 LTI_SAMPLES = 1000
 PLANT_SAMPLES = 20  # full plants at each speed
+TIGHT_AT_RPM = (1500.0, 3000.0)
 
 Progress = Callable[[str, int, int], None]
 
@@ -58,7 +59,9 @@ class SpeedAnalysis:
     plants : tuple of SampledPlantRun
         Sampled full plants in closed loop.
     tightness : TightnessCheck or None
-        Full plant along the worst direction; None if it was not confirmed.
+        Full plant along the worst direction; None if it was not asked for or not possible.
+    untested : str
+        Why the worst direction was not possible, if it was asked for.
     """
 
     structured: StructuredRobustness
@@ -67,6 +70,7 @@ class SpeedAnalysis:
     lti: LtiCheck | None = field(default=None, repr=False)
     plants: tuple[SampledPlantRun, ...] = field(default=(), repr=False)
     tightness: TightnessCheck | None = field(default=None, repr=False)
+    untested: str = ""
 
     @property
     def speed_rpm(self) -> float:
@@ -102,6 +106,8 @@ class SpeedAnalysis:
                 "simulated_margin": self.tightness.simulated,
                 "gain_factor": self.tightness.gain_factor,
             }
+        elif self.untested:
+            confirmed["untested"] = self.untested
         return {
             "speed_rpm": self.speed_rpm,
             "demand_mg": 1e6 * self.measurement.demand,
@@ -143,6 +149,8 @@ class SpeedAnalysis:
                 f"  tight: with gains x {t.gain_factor:.2f} the break is predicted at "
                 f"{t.predicted:.2f} times the bounds, the full plant breaks at {t.simulated:.2f}"
             )
+        elif self.untested:
+            lines.append(f"  worst direction not tried: {self.untested}")
         return "\n".join(lines)
 
 
@@ -200,6 +208,7 @@ def analyse_robustness(
     demand: Callable[[float], float] = demand_at,
     confirm: bool = True,
     samples: int = PLANT_SAMPLES,
+    tight_at: Sequence[float] = TIGHT_AT_RPM,
     seed: int = 0,
     processes: int = 2,
     progress: Progress | None = None,
@@ -224,6 +233,8 @@ def analyse_robustness(
         Whether to confirm the verdicts with linear members and full plants.
     samples : int
         Full plants at each speed.
+    tight_at : sequence of float
+        Speeds at which the full plant is driven to where it breaks (some seconds each).
     seed : int
         Seed of all random work.
     processes : int
@@ -290,12 +301,17 @@ def analyse_robustness(
         lti = check_lti(
             s.structured.loop, samples=LTI_SAMPLES, seed=seed, bound=bounds[s.speed_rpm]
         )
-        tight = None
-        if s.structured.robustly_stable:
-            tight = check_tightness(
-                s.measurement, feedforward, schedule.at(s.speed_rpm), plant=plant
-            )
-        confirmed.append(replace(s, lti=lti, plants=plants.at(s.speed_rpm), tightness=tight))
+        tight, why = None, ""
+        if s.speed_rpm in tight_at:
+            try:
+                tight = check_tightness(
+                    s.measurement, feedforward, schedule.at(s.speed_rpm), plant=plant
+                )
+            except ParameterError as error:  # no gain, or no distance, at which it breaks
+                why = str(error)
+        confirmed.append(
+            replace(s, lti=lti, plants=plants.at(s.speed_rpm), tightness=tight, untested=why)
+        )
     if progress is not None:
         progress("worst directions", count, count)
     return RobustAnalysis(tuple(confirmed), schedule, plants, seed)

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 Speeds = Annotated[
     tuple[float, ...],
-    Parameter(name="--speed-rpm", consume_multiple=True, negative=(), help="Speeds, rpm."),
+    Parameter(
+        name=["--speed-rpm", "--speed"], consume_multiple=True, negative=(), help="Speeds, rpm."
+    ),
 ]
 
 
@@ -39,6 +41,10 @@ def analyse(
     uncertainty: Annotated[
         bool, Parameter(help="Whether to quantify the uncertainty of the mean-value plant.")
     ] = True,
+    robustness: Annotated[
+        bool,
+        Parameter(help="Whether to analyse the loop against the structured uncertainty."),
+    ] = True,
     seed: Seed = 0,
     json: JsonFile = None,
     quiet: Quiet = False,
@@ -46,8 +52,9 @@ def analyse(
     """Quantify the uncertainty of the mean-value plant, and analyse the air-charge loop.
 
     Uncertainty: deltas, weights with a guarantee that fresh full plants check, Sobol' indices.
-    Loop: poles, margins, and what they withstand, at each speed. The exit status is 1 when a
-    requirement on either is not met.
+    Loop: poles, margins, and what they withstand, at each speed; then the structured singular
+    value, confirmed with sampled full plants. The exit status is 1 when a requirement on either
+    is not met.
 
     Example: camless analyse --speed-rpm 1500 6000 --json analysis.json
     """
@@ -55,9 +62,10 @@ def analyse(
     from plant._map_grid import SPEED_RANGE_RPM
     from plant.mean_value import MeanValuePlant
 
-    from ..assessment import as_dict, assess_robustness, assess_uncertainty
+    from ..assessment import as_dict, assess_robustness, assess_structured, assess_uncertainty
     from ..jsonable import to_json
     from ..output import reserved_file
+    from ..robust_analysis import analyse_robustness
     from ..robustness import analyse as run
 
     at_least_one("--speed-rpm", speed_rpm)
@@ -70,9 +78,14 @@ def analyse(
             results = run(
                 maps, speed_rpm, progress=lambda done, all_: progress("speeds", done, all_)
             )
+            structured = None
+            if robustness:
+                structured = analyse_robustness(maps, speed_rpm, seed=seed, progress=progress)
         found = assess_robustness(results)
         if quantified is not None:
             found = [*assess_uncertainty(quantified[1]), *found]
+        if structured is not None:
+            found += assess_structured(structured)
         if file is not None:
             speeds = [
                 {
@@ -98,6 +111,8 @@ def analyse(
             content: dict[str, Any] = {"speeds": speeds}
             if quantified is not None:
                 content["uncertainty"] = _content(*quantified)
+            if structured is not None:
+                content["robustness"] = structured.records()
             content["requirements"] = [as_dict(f) for f in found]
             file.write(to_json(content))
     console = out(quiet)
@@ -105,6 +120,8 @@ def analyse(
         _print(console, *quantified)
     for result in results:
         console.print(str(result), markup=False)
+    if structured is not None:
+        console.print(str(structured), markup=False)
     print_requirements(console, found)
     return status(found)
 

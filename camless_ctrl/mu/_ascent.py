@@ -99,7 +99,10 @@ def evaluate(
     rows = np.arange(len(M))
     left = _left_vectors(K, X, values, best)
     x = X[rows, :, best]
-    y = left / np.einsum("bi,bi->b", left, x)[:, None]
+    # Of a defective eigenvalue the product is zero and its slope infinite: the vector as it is
+    # still points upwards, and all that is found is verified.
+    product = np.einsum("bi,bi->b", left, x)
+    y = left / np.where(product == 0.0, 1.0, product)[:, None]
     if c.any():
         y = np.einsum("bi,bij->bj", y, W)
     return State(omega, M, D, values[rows, best], x, y, np.einsum("bi,bij->bj", y, M))

@@ -11,6 +11,7 @@ from camless_ctrl.assessment import (
     assess_load_step,
     assess_maps,
     assess_robustness,
+    assess_structured,
     assess_throttle_steps,
     assess_uncertainty,
     assess_validation,
@@ -50,6 +51,23 @@ def quantified(ratio, p_value):
     return SimpleNamespace(channels=channels, least_ratio=ratio, coverage=coverage)
 
 
+def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9):
+    return SimpleNamespace(
+        speed_rpm=rpm,
+        structured=SimpleNamespace(
+            performance=None if ceiling is None else SimpleNamespace(ceiling=ceiling)
+        ),
+        lti=SimpleNamespace(violations=linear, samples=1000),
+        plants=(None,) * 20,
+        plant_violations=plants,
+        tightness=None if ratio is None else SimpleNamespace(ratio=ratio, speed_rpm=rpm),
+    )
+
+
+def analysed(*speeds):
+    return SimpleNamespace(speeds=speeds)
+
+
 def run_of(error, seed=0):
     """Twelve cycles of two cylinders, with the given relative errors repeated over the run."""
     m = 24
@@ -79,6 +97,35 @@ def test_uncertainty_is_judged_by_its_weakest_weight_and_by_the_fresh_plants():
     assert found["uncertainty-weights"].note == "charge q=1"
     assert found["uncertainty-coverage"].note == "981 of 1000 inside, 99 % claimed"
     assert all(row.met for row in assess_uncertainty(quantified(1.0, 0.01)))
+
+
+def test_structured_robustness_is_judged_by_its_worst_speed_and_by_all_that_was_sampled():
+    found = by_name(
+        assess_structured(
+            analysed(
+                analysed_speed(1500.0),
+                analysed_speed(3000.0, ceiling=1.02, linear=2, plants=1, ratio=1.3),
+            )
+        )
+    )
+    assert found["loop-robust-performance"].value == 1.02
+    assert found["loop-robust-performance"].note == "at 3000 rpm"
+    assert found["loop-sound"].value == 3
+    assert found["loop-sound"].note == "2 of 2000 linear members, 1 of 40 full plants"
+    assert found["loop-tight"].value == pytest.approx(30.0)
+    assert not any(row.met for row in found.values())
+    assert all(row.met for row in assess_structured(analysed(analysed_speed(1500.0))))
+
+
+def test_structured_robustness_without_mu_or_break_is_not_met():
+    found = by_name(
+        assess_structured(
+            analysed(analysed_speed(1500.0, ratio=None), analysed_speed(750.0, None, ratio=None))
+        )
+    )
+    assert math.isnan(found["loop-robust-performance"].value)
+    assert math.isnan(found["loop-tight"].value)
+    assert found["loop-sound"].met
 
 
 def test_loop_is_judged_by_its_worst_speed():
@@ -133,6 +180,7 @@ def test_every_requirement_is_assessed_by_one_function():
         *assess_throttle_steps([step]),
         *assess_uncertainty(quantified(1.1, 0.5)),
         *assess_robustness([speed(750, 0.5, 0.6)]),
+        *assess_structured(analysed(analysed_speed(1500.0))),
         *assess_load_step([run_of([0.0] * 8)]),
     ]
     assert sorted(row.requirement.name for row in found) == sorted(REQUIREMENTS)

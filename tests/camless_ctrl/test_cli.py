@@ -185,16 +185,48 @@ def test_simulate_tells_balance_with_adaptation_and_its_lack_without(tmp_path, c
 
 @pytest.mark.usefixtures("_coarse_maps")
 def test_analyse_reports_the_worst_speed(tmp_path, capsys):
-    status = main(["analyse", "--speed-rpm", "1500", "--no-uncertainty", "--json", "a.json"])
+    status = main(
+        ["analyse", "--speed", "1500", "--no-uncertainty", "--no-robustness", "--json", "a.json"]
+    )
     content = json.loads((tmp_path / "a.json").read_text())
-    assert "uncertainty" not in content
+    assert not {"uncertainty", "robustness"} & set(content)
     (speed,) = content["speeds"]
     assert speed["speed_rpm"] == 1500.0
     assert len(speed["modes"]) == 3  # of four cylinders: mean, once per cycle, alternating
     assert status == int(not all(row["met"] for row in content["requirements"]))
     names = {row["name"] for row in content["requirements"]}
-    assert names == {name for name in REQUIREMENTS if name.startswith("loop-")}
+    structured = {"loop-robust-performance", "loop-sound", "loop-tight"}
+    assert names == {name for name in REQUIREMENTS if name.startswith("loop-")} - structured
     assert "1500 rpm" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_coarse_maps")
+def test_analyse_writes_the_robustness(tmp_path, monkeypatch):
+    from camless_ctrl import robust_analysis
+
+    monkeypatch.setattr(robust_analysis, "LTI_SAMPLES", 50)
+    whole = robust_analysis.analyse_robustness
+
+    def small(maps, speeds, **options):
+        return whole(maps, speeds, samples=2, **options)
+
+    monkeypatch.setattr(robust_analysis, "analyse_robustness", small)
+    main(["analyse", "--speed", "1500", "--no-uncertainty", "--json", "a.json"])
+    content = json.loads((tmp_path / "a.json").read_text())
+    (speed,) = content["robustness"]
+    assert speed["speed_rpm"] == 1500.0
+    assert speed["stable"] is True
+    assert [mode["q"] for mode in speed["modes"]] == [0, 1, 2]
+    mu = speed["mu"]
+    assert {"rs_upper", "rs_lower", "rp_upper", "rp_lower", "frequency"} <= set(mu)
+    assert 0.0 < mu["rs_lower"] <= mu["rs_upper"] * (1.0 + 1e-9)
+    assert speed["worst_case_gain"]["lower"] <= speed["worst_case_gain"]["upper"] * (1.0 + 1e-9)
+    assert 0.0 < speed["disk_margin"]["all_cylinders"] <= 2.0
+    confirmed = speed["confirmed"]
+    assert (confirmed["sampled_lti"], confirmed["sampled_plant"]) == (50, 2)
+    assert (confirmed["violations_lti"], confirmed["violations_plant"]) == (0, 0)
+    assert confirmed["predicted_margin"] > 0.0
+    assert confirmed["simulated_margin"] > 0.0
 
 
 @pytest.mark.usefixtures("_coarse_maps")
@@ -212,7 +244,7 @@ def test_analyse_writes_the_uncertainty(tmp_path, capsys, monkeypatch):
         )
 
     monkeypatch.setattr("camless_ctrl.cli.analyse._quantify", small)
-    main(["analyse", "--speed-rpm", "1500", "--json", "a.json"])
+    main(["analyse", "--speed-rpm", "1500", "--no-robustness", "--json", "a.json"])
     content = json.loads((tmp_path / "a.json").read_text())
     found = content["uncertainty"]
     assert set(found) == {"deltas", "weights", "coverage", "sobol"}

@@ -159,6 +159,6 @@ def test_corrections_flow_in_around_closing(charge_map):
 
 
 def test_plot_shows_all_modes(results):
-    ax = results[4500.0].plot()
+    ax = results[3000.0].plot()
     labels = {text.get_text() for text in ax.get_legend().get_texts()}
     assert {"mean", "imbalance q=1", "imbalance q=2"} <= labels

@@ -12,6 +12,7 @@ from .reproducibility import ReproducibilityChapter
 from .requirements import RequirementsChapter
 from .robustness import RobustnessChapter
 from .section_six import SectionSixChapter
+from .structured import StructuredRobustnessChapter
 from .summary import SummaryChapter
 from .throttled import ThrottledChapter
 from .uncertainty import UncertaintyChapter
@@ -31,6 +32,7 @@ def default_chapters() -> tuple[Chapter, ...]:
         SectionSixChapter(),
         UncertaintyChapter(),
         RobustnessChapter(),
+        StructuredRobustnessChapter(),
         ClosedLoopChapter(),
         RequirementsChapter(),
         ReproducibilityChapter(),

@@ -200,3 +200,11 @@ def test_what_makes_no_sense_is_refused():
         mu_upper(np.full((2, 2), np.inf), structure)
     assert mu_upper(np.zeros((2, 2)), structure).value == 0.0
     assert mu_lower(np.zeros((2, 2)), structure).delta is None
+
+
+def test_a_block_without_effect_does_not_disturb_the_search():
+    # The eigenvalue of a nilpotent part has no slope; mu is that of the block that acts.
+    M = np.array([[0.0, 2.0, 1.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+    structure = BlockStructure([RealBlock("idle"), RealBlock("acting"), ComplexBlock("rest")])
+    found = mu_lower(M, structure)
+    assert found.value == pytest.approx(0.5, rel=1e-6)

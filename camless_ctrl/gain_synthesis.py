@@ -337,7 +337,7 @@ def confirmed(loop: UncertainLoop) -> MuResult:
     from .mu import robust_performance
 
     found = robust_performance(loop.system, loop.structure)
-    if found.robust is not True:
+    if not found.guaranteed or found.robust is not True:
         raise SynthesisError(
             f"robust performance of the gains found is not proved at "
             f"{loop.measurement.speed_rpm:g} rpm: {found} Take a smaller mu_limit"

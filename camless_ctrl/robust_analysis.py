@@ -84,7 +84,7 @@ class SpeedAnalysis:
 
     @property
     def plant_violations(self) -> int:
-        """Sampled full plants that contradict the verdict."""
+        """Sampled full plants that are unstable or beyond the bound of their speed."""
         return sum(run.violation for run in self.plants)
 
     def record(self) -> dict[str, Any]:
@@ -139,9 +139,14 @@ class SpeedAnalysis:
         """Return the verdict and what confirmed it."""
         lines = [str(self.structured)]
         if self.lti is not None:
+            told = (
+                "contradict it"
+                if self.structured.robust_performance
+                else f"are unstable or beyond |S| = {self.lti.bound:.2f}"
+            )
             lines.append(
-                f"  confirmed: {self.lti.violations} of {self.lti.samples} linear members and "
-                f"{self.plant_violations} of {len(self.plants)} sampled full plants contradict it"
+                f"  sampled: {self.lti.violations} of {self.lti.samples} linear members and "
+                f"{self.plant_violations} of {len(self.plants)} full plants {told}"
             )
         if self.tightness is not None:
             t = self.tightness
@@ -182,8 +187,8 @@ class RobustAnalysis:
 
     @property
     def sound(self) -> bool:
-        """Whether nothing that was sampled contradicts a verdict of robust performance."""
-        return all(
+        """Whether it was confirmed: nothing sampled contradicts a verdict of robust performance."""
+        return self.plants is not None and all(
             s.plant_violations == 0 and (s.lti is None or s.lti.violations == 0)
             for s in self.speeds
             if s.structured.robust_performance
@@ -208,7 +213,7 @@ def analyse_robustness(
     demand: Callable[[float], float] = demand_at,
     confirm: bool = True,
     samples: int = PLANT_SAMPLES,
-    tight_at: Sequence[float] = TIGHT_AT_RPM,
+    tight_at: Sequence[float] | None = None,
     seed: int = 0,
     processes: int = 2,
     progress: Progress | None = None,
@@ -220,7 +225,7 @@ def analyse_robustness(
     maps : MeanValuePlant
         Maps that the controller believes.
     speeds_rpm : sequence of float
-        Speeds.
+        Speeds, each once.
     engine : Engine, optional
         The engine; the paper's by default.
     estimator : ChargeEstimator, optional
@@ -233,18 +238,29 @@ def analyse_robustness(
         Whether to confirm the verdicts with linear members and full plants.
     samples : int
         Full plants at each speed.
-    tight_at : sequence of float
-        Speeds at which the full plant is driven to where it breaks (some seconds each).
+    tight_at : sequence of float, optional
+        Speeds, of those analysed, at which the full plant is driven to where it breaks (some
+        seconds each). By default those of `TIGHT_AT_RPM`; the first speed if none is of them.
     seed : int
         Seed of all random work.
     processes : int
         Processes for the full plants.
     progress : callable, optional
         Called with what is done, how much of it and how much in all.
+
+    Raises
+    ------
+    ParameterError
+        If a speed is given twice or none is, or a demand is out of the plant's reach.
     """
     engine = Engine.paper() if engine is None else engine
     estimator = ChargeEstimator() if estimator is None else estimator
     schedule = GainSchedule() if gains is None else gains
+    speeds_rpm = tuple(float(speed) for speed in speeds_rpm)
+    if not speeds_rpm or len(set(speeds_rpm)) != len(speeds_rpm):
+        given = ", ".join(f"{speed:g}" for speed in speeds_rpm) or "none"
+        raise ParameterError(f"the speeds are {given} rpm, but must be one or more, each once")
+    tight_at = _driven(speeds_rpm) if tight_at is None else tight_at
     plant = CrankAnglePlant(engine, runner=True, oscillation=True)
     feedforward = Feedforward(maps, valvetrain=engine.valvetrain)
     found: list[SpeedAnalysis] = []
@@ -305,7 +321,7 @@ def analyse_robustness(
         if s.speed_rpm in tight_at:
             try:
                 tight = check_tightness(
-                    s.measurement, feedforward, schedule.at(s.speed_rpm), plant=plant
+                    s.measurement, feedforward, schedule.at(s.speed_rpm), plant=plant, seed=seed
                 )
             except ParameterError as error:  # no gain, or no distance, at which it breaks
                 why = str(error)
@@ -315,3 +331,8 @@ def analyse_robustness(
     if progress is not None:
         progress("worst directions", count, count)
     return RobustAnalysis(tuple(confirmed), schedule, plants, seed)
+
+
+def _driven(speeds_rpm: Sequence[float]) -> Sequence[float]:
+    """Speeds at which the full plant is driven to where it breaks: one at least."""
+    return [speed for speed in speeds_rpm if speed in TIGHT_AT_RPM] or speeds_rpm[:1]

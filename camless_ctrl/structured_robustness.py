@@ -1,16 +1,20 @@
 """Structured robustness of the air-charge loop: what it withstands, and where it breaks.
 
-Robust stability and performance by the structured singular value, the worst-case gain and step
-response, and how much more of one block alone would be withstood.
+Robust stability and performance by the structured singular value, the worst-case gain,
+disturbance and step response, and how much of one block is withstood while all others take
+their whole ranges (skewed mu).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from plant import ParameterError
+from plant._checks import one_of, whole
+from plant.kinematics import FloatArray
 
 from .mu.result import MuResult
 from .mu.worst_case import WorstCaseGain
@@ -19,8 +23,6 @@ from .uncertain_loop import REMAINDER, UncertainLoop
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -59,17 +61,20 @@ class StructuredRobustness:
 
     @property
     def robustly_stable(self) -> bool:
-        """Whether the whole set is proved stable."""
-        return self.stability is not None and self.stability.robust is True
+        """Whether the whole set is proved stable, between the frequencies too."""
+        return _proved(self.stability)
 
     @property
     def robust_performance(self) -> bool:
         """Whether the sensitivity bound is proved for the whole set."""
-        return self.performance is not None and self.performance.robust is True
+        return _proved(self.performance)
 
     @property
     def margin(self) -> float:
-        """Size of the set, of the assumed one, that is proved stable; 0 if unstable."""
+        """Size of the set, of the assumed one, that is withstood; 0 if unstable.
+
+        It is proved between the frequencies if `stability.guaranteed`.
+        """
         return self.stability.margin if self.stability is not None else 0.0
 
     @property
@@ -85,9 +90,7 @@ class StructuredRobustness:
         """Circulant mode in whose band the set first breaks; None if nothing breaks it."""
         if self.stability is None or self.stability.worst is None:
             return None
-        m = self.loop.measurement
-        angle = self.stability.worst_frequency * m.event_time
-        return round(float(angle) * m.n_cylinders / (2.0 * np.pi))
+        return self._mode(self.stability.worst_frequency)
 
     @property
     def breaking_values(self) -> dict[str, float]:
@@ -97,6 +100,62 @@ class StructuredRobustness:
         worst = self.stability.worst
         names = self.loop.measurement.directions
         return self.loop.measurement.values({name: float(worst[name].real) for name in names})
+
+    @property
+    def amplified_mode(self) -> int | None:
+        """Circulant mode in whose band the worst disturbance lies; None without one."""
+        found = self.worst_gain
+        return None if found is None or found.worst is None else self._mode(found.frequency)
+
+    def worst_disturbance(self, cycles: int = 8) -> FloatArray:
+        """Charge disturbance of size 1 that is amplified most (cycles, cylinders).
+
+        The sine, event by event in the order of induction, at whose frequency the worst
+        perturbation has its largest sensitivity.
+
+        Raises
+        ------
+        ParameterError
+            If there is none: the loop is unstable, or nothing is amplified.
+        """
+        whole("cycles", cycles, 1, 100_000)
+        if self.worst_gain is None or self.worst_gain.worst is None:
+            raise ParameterError(
+                f"the loop at {self.speed_rpm:g} rpm has no worst disturbance: it is unstable in "
+                "the middle of the set, or no perturbation was found"
+            )
+        m = self.loop.measurement
+        angle = self.worst_gain.frequency * m.event_time
+        events = np.arange(cycles * m.n_cylinders)
+        return np.asarray(np.cos(angle * events).reshape(cycles, m.n_cylinders))
+
+    def withstood_alone(self, name: str, *, seed: int = 0) -> MuResult:
+        """How much of one block is withstood while all others take their whole ranges.
+
+        Parameters
+        ----------
+        name : str
+            The block: a parameter, or ``remainder``. `MuResult.margin` is its size as a multiple
+            of the assumed one; 0 if the others destabilise alone.
+        seed : int
+            Seed of the search.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such block, or the loop is unstable in the middle of the set.
+        """
+        from .mu import skewed_mu
+
+        structure = self.loop.structure
+        one_of("block", name, structure.names)
+        inner = self.loop.system[: structure.inputs, : structure.outputs]
+        return skewed_mu(inner, structure, name, seed=seed)
+
+    def _mode(self, frequency: float) -> int:
+        """Mode in whose band a frequency lies."""
+        m = self.loop.measurement
+        return round(float(frequency) * m.event_time * m.n_cylinders / (2.0 * np.pi))
 
     def record(self) -> dict[str, Any]:
         """Return the figures, for a JSON file."""
@@ -118,6 +177,8 @@ class StructuredRobustness:
                 "lower": low,
                 "upper": high,
                 "bound": self.loop.sensitivity_bound,
+                "frequency": self.worst_gain.frequency if self.worst_gain else nan,
+                "mode": self.amplified_mode,
             },
         }
 
@@ -154,6 +215,7 @@ class StructuredRobustness:
 
         from plant._plotting import COLOURS, axes, styled
 
+        whole("cycles", cycles, 1, 100_000)
         m, bound = self.loop.measurement, self.loop.sensitivity_bound
         time = m.event_time * np.arange(cycles * m.n_cylinders)
         with styled():
@@ -187,13 +249,17 @@ class StructuredRobustness:
         head = f"{m.speed_rpm:g} rpm, {1e6 * m.demand:.0f} mg"
         if self.stability is None or self.performance is None:
             return f"{head}: unstable in the middle of the assumed set; nothing is withstood"
-        verdict = "robustly stable" if self.robustly_stable else "NOT robustly stable"
-        _, high = self.worst_sensitivity
-        gain = (
-            f"an error is amplified up to {high:.2f} times in the worst case"
-            if np.isfinite(high)
-            else "the worst case is unstable"
-        )
+        if self.robustly_stable:
+            verdict = "robustly stable"
+        else:
+            verdict = "NOT " + ("" if self.stability.robust is False else "proved ")
+            verdict += "robustly stable"
+        low, high = self.worst_sensitivity
+        gain = "the worst case is unstable"
+        if np.isfinite(high):
+            gain = f"an error is amplified up to {high:.2f} times in the worst case"
+        elif np.isfinite(low):
+            gain = f"an error is amplified {low:.2f} times or more, without a proved limit"
         breaks = ""
         if self.stability.worst is not None:
             values = ", ".join(
@@ -238,6 +304,10 @@ def analyse_structured(loop: UncertainLoop, *, seed: int = 0) -> StructuredRobus
         worst_case_gain(loop.system, loop.structure, seed=seed),
         peak,
     )
+
+
+def _proved(found: MuResult | None) -> bool:
+    return found is not None and found.guaranteed and found.robust is True
 
 
 def _shown(value: float, unit: str) -> str:

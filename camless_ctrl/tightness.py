@@ -164,6 +164,7 @@ def check_tightness(
     target: float | None = 0.9,
     plant: CrankAnglePlant | None = None,
     cycles: int = 40,
+    seed: int = 0,
     progress: Progress | None = None,
 ) -> TightnessCheck:
     """Drive the full plant along the predicted worst direction until it loses stability.
@@ -184,6 +185,8 @@ def check_tightness(
         Nominal plant; the paper's with runner and oscillation by default.
     cycles : int
         Length of a run.
+    seed : int
+        Seed of the search for the worst perturbation.
     progress : callable, optional
         Called with the number of runs done and the most that there may be.
 
@@ -206,7 +209,7 @@ def check_tightness(
             "lower the gains, or give a target"
         )
     reals = list(measurement.directions)
-    stability = robust_stability(loop.system, loop.structure)
+    stability = robust_stability(loop.system, loop.structure, seed=seed)
     if stability.worst is None:
         raise ParameterError("no perturbation destabilises the loop: raise the gains")
     found = {name: float(stability.worst[name]) for name in reals}
@@ -216,13 +219,12 @@ def check_tightness(
     direction = {name: value / largest for name, value in found.items()}
     walk = _Walk(measurement, loop, direction, plant, feedforward, trial, cycles)
     predicted = walk.predicted()
-    alone = robust_stability(loop.system, BlockStructure([RealBlock(name) for name in reals]))
+    only_reals = BlockStructure([RealBlock(name) for name in reals])
+    alone = robust_stability(loop.system, only_reals, seed=seed)
     simulated = walk.simulated(predicted, progress)
     order = sorted(walk.runs)
-    growth = np.array([walk.runs[s] for s in order])
     at_break = order[-1] if math.isinf(simulated) else simulated
     deltas, limited = physical(measurement, direction, at_break)
-    nearest = min(order, key=lambda s: abs(s - at_break))
     return TightnessCheck(
         speed_rpm=measurement.speed_rpm,
         gains=trial,
@@ -233,11 +235,11 @@ def check_tightness(
         predicted=predicted,
         simulated=simulated,
         predicted_turns=fastest(walk.poles(predicted), walk.adapted, measurement.n_cylinders)[1],
-        simulated_turns=walk.turns[nearest],
+        simulated_turns=walk.turns[min(order, key=lambda s: abs(s - at_break))],
         values=measurement.values(deltas),
         limited=limited,
         scales=np.array(order),
-        growth=growth,
+        growth=np.array([walk.runs[s] for s in order]),
         predicted_growth=np.array([walk.description(s) for s in order]),
     )
 

@@ -1,8 +1,8 @@
 """From a correction to what the estimator sees of it, with everything that is uncertain in it.
 
-The response per event of the estimate to a correction is taken from full plants, each trimmed
-to the demand as the adaptation would. A few real parameters act along directions of their own,
-and what is left of all samples is a complex weight,
+The response per event of the estimate to a correction is taken from full plants, each where its
+own adaptation settles: the estimate, not the charge, meets the demand. A few real parameters
+act along directions of their own, and what is left of all samples is a complex weight,
 
     E(z) = E_c(z) + sum_k d_k H_k(z) + W(z) D,    -1 <= d_k <= 1 real, |D| <= 1 complex,
 
@@ -32,7 +32,7 @@ from uncertainty.sampling import Sample, draw, nominal_sample, one_at_a_time
 from uncertainty.weight_result import OverboundingWeight
 from uncertainty.weights import fit_weight
 
-from ._sampled_estimates import TRIMMED, estimate_response, trimmed_sample
+from ._sampled_estimates import TRIMMED, beyond_reach, estimate_response, trimmed_sample
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
 from .linearise import LocalResponse, local_response
@@ -41,7 +41,8 @@ from .pulse_bank import PulseSum
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# A gain error of the sensor has no direction: the estimate meets the demand all the same.
+# A gain error of the sensor is not in the loop gain. What is left of it is that the plant settles
+# at another charge, where the slopes differ a little: no direction of its own is worth that.
 MODELLED = ("temperature", "flow coefficient", "MAF time constant", "MAF delay")
 _POINTS = 97  # frequencies from 0 to the Nyquist frequency of an event
 _FINER = 4
@@ -58,7 +59,7 @@ class UncertainMeasurement:
     local : LocalResponse
         Nominal full plant at the operating point.
     demand : float
-        Charge, kg.
+        Charge that the estimate of every plant meets at rest, kg.
     estimator : ChargeEstimator
         The estimator.
     uncertain : UncertaintySet
@@ -73,6 +74,9 @@ class UncertainMeasurement:
         ``W`` per event.
     coverage : FreshCheck or None
         Share of the set that the description covers, claimed and checked.
+    beyond_reach : int
+        Plants, of all that were followed, that meet the demand only with a duration beyond the
+        controller's. They are described as if the map went on with the slope of its end.
     """
 
     local: LocalResponse = field(repr=False)
@@ -84,6 +88,7 @@ class UncertainMeasurement:
     directions: Mapping[str, PulseSum] = field(repr=False)
     weight: OverboundingWeight = field(repr=False)
     coverage: FreshCheck | None = None
+    beyond_reach: int = 0
 
     @property
     def speed_rpm(self) -> float:
@@ -163,6 +168,10 @@ class UncertainMeasurement:
         """Return operating point, size of the weight and coverage."""
         size = float(self.weight.magnitude(self.weight.omega).max())
         covered = "" if self.coverage is None else f" {self.coverage}"
+        if self.beyond_reach:
+            covered += (
+                f" {self.beyond_reach} of the plants would need a duration beyond the controller's."
+            )
         return (
             f"{self.speed_rpm:g} rpm, {1e6 * self.demand:.0f} mg: {len(self.directions)} real "
             f"parameters, and a complex remainder of up to {100.0 * size:.1f} % (order "
@@ -214,13 +223,17 @@ def uncertain_measurement(
     Raises
     ------
     ParameterError
-        For an unknown parameter or one without a range, or a plant, nominal or sampled, that
-        cannot be trimmed to the demand.
+        For an unknown parameter or one without a range, or a plant, nominal or sampled, whose
+        estimate does not meet the demand with any duration.
 
     Notes
     -----
     With few design plants, what the other parameters do goes into the directions in part: the
     description covers its share all the same, but a direction then is less that of its name.
+
+    Sensor and estimator are taken as continuous. That the controller reads samples of the flow
+    is not in the description; it shows where the air of a correction passes the sensor at the
+    edge of a window, as with a long delay at high speed.
     """
     positive("demand", demand, "kg")
     whole("design", design, 2, 100_000)
@@ -236,8 +249,6 @@ def uncertain_measurement(
             f"{1e6 * local.charge:.0f} mg with {local.command.duration_deg:.0f} deg, the nearest "
             f"duration at {speed_rpm:g} rpm: choose a demand within its reach"
         )
-    slope = feedforward.sensitivity(local.charge / local.factor, speed_rpm)
-    slope *= local.factor / local.charge  # relative charge per deg, as the controller believes
 
     bounds = one_at_a_time(of_model)
     design_sample = _extended(uncertain, bounds).joined(nominal_sample(uncertain))
@@ -246,11 +257,12 @@ def uncertain_measurement(
     calibration = draw(uncertain, samples_needed(share, confidence), seeds[1])
     unseen = draw(uncertain, fresh, seeds[2])
     total = len(shaped) + len(calibration) + len(unseen)
-    done = 0
+    done = beyond = 0
 
     def follow(sample: Sample) -> list[PulseResponse]:
-        nonlocal done
-        trimmed = trimmed_sample(plant, sample, local, demand, slope)
+        nonlocal done, beyond
+        trimmed = trimmed_sample(plant, sample, local, demand, feedforward)
+        beyond += beyond_reach(trimmed, local, feedforward)
 
         def report(count: int, _: int) -> None:
             if progress is not None:
@@ -307,6 +319,7 @@ def uncertain_measurement(
         directions=directions,
         weight=weight.scaled(factor),
         coverage=check_fresh(replace(bound, value=factor), scores[1]),
+        beyond_reach=beyond,
     )
 
 

@@ -1,3 +1,6 @@
+from dataclasses import replace
+
+import control
 import matplotlib
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ from camless_ctrl.mu import lft
 from camless_ctrl.structured_robustness import analyse_structured
 from camless_ctrl.uncertain_loop import UncertainLoop
 from camless_ctrl.uncertain_measurement import uncertain_measurement
-from plant import CrankAnglePlant, MeanValuePlant
+from plant import CrankAnglePlant, MeanValuePlant, ParameterError
 
 matplotlib.use("agg")
 
@@ -97,6 +100,48 @@ def test_an_unstable_loop_withstands_nothing(measurement):
     assert broken.margin == 0.0
     assert "nothing is withstood" in str(broken)
     assert np.isnan(broken.record()["rs_upper"])
+    with pytest.raises(ParameterError, match="no worst disturbance"):
+        broken.worst_disturbance()
+    with pytest.raises(ParameterError, match="not stable"):
+        broken.withstood_alone("MAF delay")
+
+
+def test_one_block_alone_is_withstood_farther_and_its_break_is_on_the_circle(found):
+    alone = found.withstood_alone("MAF delay")
+    assert alone.guaranteed
+    assert "MAF delay" not in alone.held
+    assert len(alone.held) == len(found.loop.structure) - 1
+    # All else within its ranges, so the delay alone is taken farther than all together.
+    assert alone.margin > found.margin > 1.0
+    delta = alone.worst
+    assert abs(delta["MAF delay"]) == pytest.approx(alone.margin, rel=0.06)
+    assert all(abs(delta[name]) <= 1.0 + 1e-9 for name in alone.held)
+    realised = delta.realise(alone.worst_frequency, found.loop.system.dt)
+    poles = np.linalg.eigvals(lft(found.loop.system, realised).A)
+    assert np.max(np.abs(poles)) == pytest.approx(1.0, abs=1e-5)
+    with pytest.raises(ParameterError, match="block is 'delay'"):
+        found.withstood_alone("delay")
+
+
+def test_the_worst_disturbance_is_amplified_as_the_worst_case_says(found):
+    cycles = 400
+    disturbance = found.worst_disturbance(cycles).ravel()
+    assert np.abs(disturbance).max() <= 1.0
+    worst = found.worst_gain.worst_system()
+    error = np.squeeze(control.forced_response(worst, U=disturbance).outputs)
+    settled = found.loop.sensitivity_bound * error[error.size // 2 :]
+    low, _ = found.worst_sensitivity
+    # A sine: its mean square is half the square of its amplitude.
+    rms = np.sqrt(np.mean(settled**2) / np.mean(disturbance[error.size // 2 :] ** 2))
+    assert rms == pytest.approx(low, rel=0.02)
+    assert found.amplified_mode in (0, 1, 2)
+
+
+def test_without_proof_nothing_is_called_robust(found):
+    unproved = replace(found, stability=replace(found.stability, guaranteed=False))
+    assert unproved.stability.robust is True  # on the frequencies
+    assert not unproved.robustly_stable
+    assert "NOT proved robustly stable" in str(unproved)
 
 
 def test_plots_and_record(found):

@@ -1,9 +1,11 @@
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from camless_ctrl._sampled_estimates import estimate_response, trimmed_sample
+from camless_ctrl._closed_loop_runs import sampled_cases, step_response
+from camless_ctrl._sampled_estimates import beyond_reach, estimate_response, trimmed_sample
+from camless_ctrl.adaptation import GainSchedule
 from camless_ctrl.feedforward import Feedforward
 from camless_ctrl.linearise import local_response
 from camless_ctrl.measurement_response import FlowShape, MeasurementResponse
@@ -12,7 +14,7 @@ from camless_ctrl.uncertain_measurement import (
     UncertainMeasurement,
     uncertain_measurement,
 )
-from plant import CrankAnglePlant, MafSensor, MeanValuePlant, ParameterError
+from plant import CrankAnglePlant, MafSensor, MeanValuePlant, ParameterError, TimeSampling
 from uncertainty import default_set
 from uncertainty.coverage import samples_needed
 from uncertainty.perturbed import PerturbedPlants
@@ -23,6 +25,15 @@ SPEED, DEMAND = 1500.0, 250e-6
 QUICK = {"share": 0.8, "confidence": 0.8, "design": 8, "fresh": 20}
 ANGLE = np.linspace(0.0, np.pi, 181)
 Z = np.exp(1j * ANGLE)
+# Single plants whose own demand and slope differ from those of the nominal one.
+PLANTS = [
+    {},
+    {"flow coefficient": 0.85},
+    {"temperature": 1.1},
+    {"MAF gain error": 0.03},
+    {"MAF gain error": -0.03},
+    {"flow coefficient": 0.85, "MAF gain error": -0.03, "MAF time constant": 0.01},
+]
 
 
 @dataclass
@@ -44,16 +55,38 @@ def case():
     return Case(plant, feedforward, found, reported)
 
 
+def single(case: Case, values: dict[str, float]) -> Sample:
+    uncertain = case.found.uncertain
+    row = [values.get(p.name, p.nominal) for p in uncertain]
+    return Sample(uncertain, np.array([row]))
+
+
+def responses(case: Case, sample: Sample, demand: float = DEMAND) -> list[np.ndarray]:
+    """Response of each plant of a sample as the description takes it."""
+    local = local_response(case.plant, case.feedforward, demand, SPEED)
+    trimmed = trimmed_sample(case.plant, sample, local, demand, case.feedforward)
+    pulses = sampled_pulses(
+        PerturbedPlants(case.plant, trimmed), local.command, SPEED, reference_charge=demand
+    )
+    estimator = case.found.estimator
+    return [
+        estimate_response(pulses, i, estimator, case.feedforward)(Z) for i in range(len(pulses))
+    ]
+
+
 def by_differences(case: Case, sample: Sample, i: int) -> np.ndarray:
     """Response of one sampled plant by a second way: steady cycles on either side of a command.
 
-    The plant is trimmed by bisection of its duration; charge and flow that one cylinder adds
-    are central differences of whole steady cycles, not a pulse followed in time.
+    The plant is trimmed by bisection of its duration until the reading of the sensor meets the
+    demand; charge and flow that one cylinder adds are central differences of whole steady
+    cycles, not a pulse followed in time. The slope that the controller believes in is that of
+    the map itself at the commanded duration, without the feedforward's table.
     """
     plants = PerturbedPlants(case.plant, sample)
     plant, local = plants.plant_at(i), case.found.local
     command = plants.commands_at(i, local.command, SPEED)[0]
     n, parts = plant.engine.n_cylinders, 60
+    sensor = plants.maf_at(i, MafSensor())
 
     def cycle(first, others):
         commands = [command.replace(duration_deg=d) for d in (first, *[others] * (n - 1))]
@@ -63,10 +96,10 @@ def by_differences(case: Case, sample: Sample, i: int) -> np.ndarray:
     for _ in range(22):
         middle = 0.5 * (low + high)
         charge = cycle(middle, middle).air_charge[0]
-        low, high = (middle, high) if charge < DEMAND else (low, middle)
-    # Relative charge that the controller believes in, per deg.
-    believed = local.charge / local.factor
-    slope = case.feedforward.sensitivity(believed, SPEED) / believed
+        read = charge * (1.0 + sensor.gain_error)
+        low, high = (middle, high) if read < DEMAND else (low, middle)
+    late = command.duration_deg - local.command.duration_deg  # delivered, not commanded
+    slope = slope_of_the_map(case, middle - late)
     step = 0.01 / slope
     sides = [cycle(middle + change, middle) for change in (-0.5 * step, 0.5 * step)]
     flows = [
@@ -76,8 +109,7 @@ def by_differences(case: Case, sample: Sample, i: int) -> np.ndarray:
         for c in sides
     ]
     added = flows[1] - flows[0]
-    gain = float((sides[1].air_charge - sides[0].air_charge).sum()) / DEMAND / 0.01
-    sensor = plants.maf_at(i, MafSensor())
+    gain = float((sides[1].air_charge - sides[0].air_charge).sum()) / charge / 0.01
     response = MeasurementResponse.of_maf(
         case.found.estimator,
         case.found.event_time,
@@ -85,7 +117,14 @@ def by_differences(case: Case, sample: Sample, i: int) -> np.ndarray:
         delay=sensor.delay,
         shape=FlowShape(added / added.sum(), parts),
     )
-    return gain * (1.0 + sensor.gain_error) * response(Z)
+    return gain * response(Z)
+
+
+def slope_of_the_map(case: Case, duration: float) -> float:
+    """Slope of the logarithm of the map's charge at a duration, 1/deg."""
+    lift = case.found.local.command.lift_mm
+    sides = case.feedforward.charge_map.air_charge(lift, duration + np.array([-0.5, 0.5]), SPEED)
+    return float(np.diff(np.log(sides))[0])
 
 
 def outside(case: Case, sample: Sample, i: int) -> float:
@@ -116,9 +155,11 @@ def test_nominal_is_the_response_of_steady_cycles(case):
 def test_flow_is_linear_between_its_samples(case):
     # As the quantifier takes it, whose shape is checked by itself.
     local, estimator = case.found.local, case.found.estimator
-    plants = PerturbedPlants(case.plant, nominal_sample(case.found.uncertain))
+    sample = nominal_sample(case.found.uncertain)
+    trimmed = trimmed_sample(case.plant, sample, local, DEMAND, case.feedforward)
+    plants = PerturbedPlants(case.plant, trimmed)
     pulses = sampled_pulses(plants, local.command, SPEED, reference_charge=DEMAND)
-    found = estimate_response(pulses, 0, estimator, DEMAND, 1.0)
+    found = estimate_response(pulses, 0, estimator, case.feedforward)
     expected = MeasurementResponse.of_maf(
         estimator, found.event_time, time_constant=15e-3, delay=1e-3, shape=pulses.flow_shape(60)
     )
@@ -155,12 +196,10 @@ def test_description_is_not_idle(case):
         assert np.any(np.abs(far - near) > size)
 
 
-def test_trimmed_plants_take_in_the_demand(case):
+def test_estimate_of_trimmed_plants_meets_the_demand(case):
     found = case.found
     sample = draw(found.uncertain, 6, 5)
-    believed = found.local.charge / found.local.factor
-    slope = case.feedforward.sensitivity(believed, SPEED) / believed
-    trimmed = trimmed_sample(case.plant, sample, found.local, DEMAND, slope)
+    trimmed = trimmed_sample(case.plant, sample, found.local, DEMAND, case.feedforward)
     plants = PerturbedPlants(case.plant, trimmed)
     untrimmed = PerturbedPlants(case.plant, sample)
     errors = []
@@ -168,7 +207,8 @@ def test_trimmed_plants_take_in_the_demand(case):
         for of, keep in ((plants, errors), (untrimmed, [])):
             commands = of.commands_at(i, found.local.command, SPEED)
             cycle = of.plant_at(i).steady_cycle(SPEED, commands, on_infeasible="limit")
-            keep.append(float(np.abs(cycle.air_charge / DEMAND - 1.0).max()))
+            read = (1.0 + sample.at(i)["MAF gain error"]) * cycle.air_charge
+            keep.append(float(np.abs(read / DEMAND - 1.0).max()))
             if of is untrimmed:
                 assert keep[-1] > 2e-3  # the trim was needed
     assert max(errors) < 2.1e-3
@@ -183,12 +223,84 @@ def test_deltas_and_values_are_inverse(case):
     assert found.values(found.deltas(values)) == pytest.approx(values)
 
 
-def test_gain_error_has_the_direction_that_it_must(case):
-    # A gain error of 3 % changes the estimate by 3 %, whatever the frequency. It takes enough
-    # design plants to tell it from what other parameters do.
-    found = measure(case, design=64)
-    direction = found.directions["MAF gain error"](Z)
-    assert np.abs(direction - 0.03 * found.centre(Z)).max() < 0.005
+@pytest.mark.parametrize("values", PLANTS)
+def test_perturbed_plant_is_linearised_where_it_settles(case, values):
+    # By itself: as a nominal plant whose demand is the charge that its sensor takes for 250 mg.
+    sample = single(case, values)
+    plants = PerturbedPlants(case.plant, sample)
+    sensor = plants.maf_at(0, MafSensor())
+    demand = DEMAND / (1.0 + sensor.gain_error)
+    local = local_response(plants.plant_at(0), case.feedforward, demand, SPEED)
+    second = MeasurementResponse.of_maf(
+        case.found.estimator,
+        case.found.event_time,
+        time_constant=sensor.time_constant,
+        delay=sensor.delay,
+        shape=local.shape,
+    )
+    found = responses(case, sample)[0]
+    # Observed: 7e-4 from the steps of the integration (1e-5 at twice the resolution), and 1.5e-3
+    # with a lag that is not undone, where the shape of the flow matters: it has its own steps.
+    np.testing.assert_allclose(found, local.sensitivity * second(Z), atol=2e-3)
+
+
+@pytest.mark.parametrize("values", PLANTS)
+def test_closed_loop_has_the_sensitivity_of_the_response(case, values):
+    # The controller itself on the perturbed plant, which finds its own factor; the sensor is
+    # sampled so finely that it is nearly continuous.
+    gains, sample = GainSchedule.constant(0.4, 0.4), single(case, values)
+    (run,) = sampled_cases(case.found, case.feedforward, gains, sample, case.plant, 40)
+    run = replace(run, maf=run.maf.replace(sampling=TimeSampling(1e-4)))
+    simulated = step_response(run).sensitivity(ANGLE[5:])
+    z, seen = Z[5:], responses(case, sample)[0][5:]
+    loop = 0.4 * z**-2.0 / (1.0 - z**-4.0) * z**-2.0 * seen  # by hand: latency 2, one factor each
+    gap = np.abs(simulated - 1.0 / (1.0 + loop)).max()
+    assert gap < 2e-3
+    # Were a loop gain wrong by 3 %, such as by the gain error, it would show.
+    assert np.abs(simulated - 1.0 / (1.0 + 1.03 * loop)).max() > 5.0 * gap
+
+
+@pytest.mark.parametrize("error", [-0.03, 0.03])
+def test_gain_error_only_moves_where_the_plant_settles(case, error):
+    # The same plant with a true sensor and a demand of what the wrong one takes for the demand.
+    wrong = responses(case, single(case, {"MAF gain error": error}))[0]
+    true = responses(case, single(case, {}), DEMAND / (1.0 + error))[0]
+    np.testing.assert_allclose(wrong, true, atol=2e-3)
+    # The slopes are others there: a little, and not by the gain error.
+    nominal = case.found.nominal(Z)
+    assert 1e-3 < np.abs(wrong / nominal - 1.0).max() < 0.3 * abs(error)
+
+
+def test_duration_offset_is_delivered_but_not_commanded(case):
+    # A valve that closes late by 1.8 deg is commanded to close 1.8 deg earlier: the same cycle,
+    # another point of the map.
+    late = 6.0 * SPEED * 2e-4
+    offset, nominal = (
+        responses(case, single(case, {"duration offset": 2e-4})),
+        case.found.nominal(Z),
+    )
+    duration = case.found.local.command.duration_deg
+    ratio = slope_of_the_map(case, duration) / slope_of_the_map(case, duration - late)
+    assert abs(ratio - 1.0) > 0.02
+    np.testing.assert_allclose(offset[0] / nominal, ratio, atol=2e-3)
+
+
+def test_plants_beyond_the_longest_duration_are_told(case):
+    # The weak plant needs 3 deg more than the nominal one, the strong one less.
+    duration = case.found.local.command.duration_deg
+    short = Feedforward(case.feedforward.charge_map, longest_duration_deg=duration + 1.0)
+    sample = single(case, {"flow coefficient": 0.85}).joined(
+        single(case, {"flow coefficient": 1.05}).joined(single(case, {}))
+    )
+    for feedforward, count in ((case.feedforward, 0), (short, 1)):
+        local = local_response(case.plant, feedforward, DEMAND, SPEED)
+        trimmed = trimmed_sample(case.plant, sample, local, DEMAND, feedforward)
+        assert beyond_reach(trimmed, local, feedforward) == count
+    assert case.found.beyond_reach == 0
+    assert "beyond the controller" not in str(case.found)
+    found = uncertain_measurement(case.plant, short, DEMAND, SPEED, **QUICK)
+    assert found.beyond_reach > 0
+    assert f"{found.beyond_reach} of the plants would need a duration beyond" in str(found)
 
 
 def test_progress_counts_every_plant(case):
@@ -201,7 +313,7 @@ def test_it_prints_and_plots(case):
     import matplotlib.pyplot as plt
 
     text = str(case.found)
-    assert "1500 rpm, 250 mg: 5 real parameters" in text
+    assert "1500 rpm, 250 mg: 4 real parameters" in text
     assert "of 20 fresh samples" in text
     ax = case.found.plot()
     assert [line.get_label() for line in ax.get_lines()] == [*MODELLED, "all else (complex)"]
@@ -230,7 +342,7 @@ def test_demand_out_of_reach_is_refused(case):
     with pytest.raises(ParameterError, match="demand is 600 mg, but the nominal plant takes in"):
         measure(case, 600e-6)
     # In reach of the nominal plant, but not of every sample: the charge at the shortest event
-    with pytest.raises(ParameterError, match="more than the demand of 2 mg"):
+    with pytest.raises(ParameterError, match="off the demand of 2 mg"):
         measure(case, 2e-6)
     with pytest.raises(ParameterError, match="demand"):
         measure(case, -1e-6)

@@ -15,7 +15,7 @@ PYTHON     ?= $(shell for p in $(CANDIDATES); do \
 
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
 
-# One thread per test process: the processes are the parallelism.
+# One BLAS thread: processes and the kernel's threads are the parallelism.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .DEFAULT_GOAL := help
@@ -30,7 +30,7 @@ venv: $(VENV)/.installed ## create .venv with the package in it (editable)
 	@echo 'Ready. To use it: . $(BIN)/activate'
 
 report: $(VENV)/.installed ## write the robustness report to report/
-	$(BIN)/camless report --out "$(OUT)"
+	$(ONE_THREAD) $(BIN)/camless report --out "$(OUT)"
 
 test: $(VENV)/.installed-test ## run the tests (PYTEST_ARGS="..." replaces "-n 2 --dist loadscope")
 	$(ONE_THREAD) $(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -72,10 +72,11 @@ class GainSearch:
             closed.append(np.block([[A - B @ d @ C, -B @ c], [b @ C, a]]))
         poles = np.linalg.eigvals(np.stack(closed))
         turn = np.abs(np.angle(poles)) * n / (2.0 * np.pi)
+        held = np.asarray(imbalance) == 0.0  # all poles are the mean's, at whatever angle
         radius = np.stack(
             [
                 np.where(part, np.abs(poles), 0.0).max(axis=-1)
-                for part in (turn <= MODE_WIDTH, turn >= 1.0 - MODE_WIDTH)
+                for part in ((turn <= MODE_WIDTH) | held[:, None], turn >= 1.0 - MODE_WIDTH)
             ]
         )
         stable = np.all(np.abs(poles) < 1.0, axis=-1)

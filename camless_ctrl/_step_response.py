@@ -1,7 +1,9 @@
 """What a closed loop does after a step in one cylinder: growth of each mode, and sensitivity.
 
 The response holds all modes in equal parts. Its poles are found by the matrix pencil, each
-mode's around its own angle; its differences from cycle to cycle are those of the sensitivity,
+mode's around its own angle. Where differences are held, the mean is corrected at every event, and
+its poles may turn at any rate: all are its own but those that stay. The differences of the
+response from cycle to cycle are those of the sensitivity,
 
     S(z) = sum_k (y_k - y_{k-n}) z^-k.
 """
@@ -13,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from plant import ParameterError
 from plant.air_path import ComplexArray
@@ -22,6 +24,7 @@ from plant.kinematics import FloatArray
 from .event_loop import MODE_WIDTH
 
 HELD_WITHIN = 0.01  # change per cycle of a held mode that counts as none, 1
+_AT_HELD = 0.2  # distance of a pole of a held mode from 1, per cycle: its angle is not exact
 _NOISE = 1e-2  # singular values below this share of the largest are the integration's noise
 _SMALL = 0.01  # of the largest value: poles that carry less are not told from noise
 
@@ -58,9 +61,22 @@ class StepResponse:
         """Poles per event that the response shows."""
         return poles_of(self.values)
 
+    @cached_property
+    def adapted_poles(self) -> ComplexArray:
+        """Those of them that are not of held differences."""
+        return self.poles[~self._staying] if self.held else self.poles
+
+    @property
+    def _staying(self) -> NDArray[np.bool_]:
+        """Which poles are those of held differences."""
+        per_cycle = self.poles**self.n_cylinders
+        return (np.abs(per_cycle - 1.0) < _AT_HELD) & (turns(self.poles, self.n_cylinders) > 0.5)
+
     def growth(self, q: int) -> float:
         """Largest growth per cycle of the poles of a mode; 0 if it has died in the noise."""
-        return mode_growth(self.poles, q, self.n_cylinders)
+        if self.is_held(q):
+            return mode_growth(self.poles[self._staying], q, self.n_cylinders)
+        return float(adapted_growth(self.adapted_poles, self.held, self.n_cylinders)[q])
 
     def left(self, q: int) -> float:
         """Amplitude of a mode in the last cycle over that of the step.
@@ -109,22 +125,30 @@ class StepResponse:
 
 def mode_growth(poles: ComplexArray, q: int, n_cylinders: int) -> float:
     """Largest growth per cycle of the poles (per event) around the angle of a mode."""
-    turn = np.abs(np.angle(poles)) * n_cylinders / (2.0 * np.pi)
-    of_mode = np.abs(poles[np.abs(turn - q) <= MODE_WIDTH])
+    of_mode = np.abs(poles[np.abs(turns(poles, n_cylinders) - q) <= MODE_WIDTH])
     return float(np.max(of_mode, initial=0.0)) ** n_cylinders
 
 
-def fastest(poles: ComplexArray, modes: int, n_cylinders: int) -> tuple[float, float]:
-    """Growth per cycle of the fastest pole of the first modes, and its turns per cycle.
+def adapted_growth(poles: ComplexArray, held: bool, n_cylinders: int) -> FloatArray:
+    """Largest growth per cycle of each adapted mode: the mean alone, of all, if `held`."""
+    if held:
+        return np.array([float(np.max(np.abs(poles), initial=0.0)) ** n_cylinders])
+    return np.array([mode_growth(poles, q, n_cylinders) for q in range(n_cylinders // 2 + 1)])
 
-    At whole turns it is a mode's own; half-way it changes sign from cycle to cycle.
+
+def turns(poles: ComplexArray, n_cylinders: int) -> FloatArray:
+    """Turns per cycle of poles per event.
+
+    At whole turns a pole is a mode's own; half-way it changes sign from cycle to cycle.
     """
-    turn = np.abs(np.angle(poles)) * n_cylinders / (2.0 * np.pi)
-    own = turn <= modes - 1 + MODE_WIDTH
-    if not own.any():
-        return 0.0, math.nan
-    k = int(np.argmax(np.where(own, np.abs(poles), -1.0)))
-    return float(np.abs(poles[k])) ** n_cylinders, float(turn[k])
+    return np.asarray(np.abs(np.angle(poles)) * n_cylinders / (2.0 * np.pi))
+
+
+def turns_of_fastest(poles: ComplexArray, n_cylinders: int) -> float:
+    """Turns per cycle of the pole that grows fastest; NaN if there is none."""
+    if not poles.size:
+        return math.nan
+    return float(turns(poles, n_cylinders)[np.argmax(np.abs(poles))])
 
 
 def poles_of(values: FloatArray) -> ComplexArray:

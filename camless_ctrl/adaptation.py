@@ -48,10 +48,10 @@ class GainSchedule:
     """Adaptation gains over speed, linear between the nodes and held outside.
 
     The defaults fall with speed, those of the imbalance fastest: the lag amplifies the noise of
-    an estimate by about ``tau/T``. From 3600 rpm up they are zero: there the measurement of the
-    alternating mode vanishes for some engine of the assumed set (a MAF delay of 3 ms, above
-    all), so that no gain is robust, and the differences between cylinders are held as they were
-    learnt at lower speed.
+    an estimate by about ``tau/T``. From 3600 rpm up they are zero: from about 3700 rpm the
+    measurement of the alternating mode vanishes for some engine of the assumed set (a MAF delay
+    of 3 ms, above all), so that no gain is robust, and the differences between cylinders are held
+    as they were learnt at lower speed.
 
     Parameters
     ----------

@@ -72,7 +72,8 @@ class LawFigures:
         Modes of which a steady difference is left as it is.
     settling_cycles, worst_settling_cycles : tuple of float
         Cycles to 2 % of each mode: in the middle of the set, and the slowest at the corners of
-        the real parameters and, if it was sought, at the perturbation of the largest ``|S|``.
+        the real parameters and, if it was sought, at the perturbation of the largest ``|S|``;
+        infinite if a member of the set is unstable.
     worst : WorstCaseGain or None
         Proof of the largest ``|S|``, as a share of the bound, and its perturbation.
     """
@@ -314,6 +315,9 @@ def _figures(name: str, loop: UncertainLoop, worst_case: bool) -> LawFigures:
     settled = settling(mode_responses(closed, n, _CYCLES), n)
     at_corners = sensitivity(corners_of(m), matrices_of(loop.law))
     late = settling(mode_responses(at_corners, n, _CYCLES), n).max(axis=0)
+    mu_stability = float(one.mu_stability().max())
+    if mu_stability >= 1.0:  # exact: some member of the set never settles
+        late = np.full(modes, np.inf)
     worst: WorstCaseGain | None = None
     if worst_case:
         from .mu import worst_case_gain
@@ -332,7 +336,7 @@ def _figures(name: str, loop: UncertainLoop, worst_case: bool) -> LawFigures:
         radius,
         float(np.abs(one.sensitivity).max()),
         float(one.worst_sensitivity().max()),
-        float(one.mu_stability().max()),
+        mu_stability,
         float(one.mu_performance(loop.sensitivity_bound).max()),
         loop_margins(loop).disk_margin,
         noise_gain(noise_response(centre_of(m), matrices_of(loop.law))),

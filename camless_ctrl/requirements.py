@@ -246,9 +246,9 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at most",
             _DESIGN,
-            "largest structured singular value for robust performance at any speed: the error of "
-            "no cylinder is amplified more than twice, whatever engine and sensor of the set; "
-            "proved at all frequencies",
+            "largest structured singular value for robust performance at any speed: no error is "
+            "amplified more than twice anywhere in the linear description of the set, proved at "
+            "all frequencies",
         ),
         Requirement(
             "loop-sound",
@@ -257,7 +257,8 @@ REQUIREMENTS: dict[str, Requirement] = {
             "at most",
             _DESIGN,
             "linear members and full plants in closed loop, sampled from the set, that are "
-            "unstable or amplify an error more than was proved",
+            "unstable or amplify an error more than was proved, at the speeds at which robust "
+            "performance was proved",
         ),
         Requirement(
             "loop-tight",
@@ -266,7 +267,17 @@ REQUIREMENTS: dict[str, Requirement] = {
             "at most",
             _DESIGN,
             "largest deviation of the distance at which the full plant breaks along the worst "
-            "direction from the predicted one, with gains raised until the break is in reach",
+            "direction from the predicted one, with gains raised until the break is in reach; over "
+            "the speeds at which all modes are adapted",
+        ),
+        Requirement(
+            "loop-coverage",
+            0.01,
+            "1",
+            "at least",
+            _DESIGN,
+            "smallest probability, of all speeds, of as few fresh full plants inside the "
+            "description of the loop as were found, if the claimed share were covered",
         ),
         Requirement(
             "cylinder-error",

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from plant import CrankAnglePlant, Engine, MeanValuePlant, ParameterError
+from uncertainty.parameters import UncertaintySet
 
-from .adaptation import GainSchedule
+from ._closed_loop_runs import at_speed, in_processes
+from .adaptation import AdaptationGains, GainSchedule
 from .disk_margins import DiskMargins, disk_margins
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
@@ -32,12 +34,11 @@ from .soundness import (
 )
 from .structured_robustness import StructuredRobustness, analyse_structured
 from .tightness import TightnessCheck, check_tightness
-from .uncertain_loop import UncertainLoop, adaptation_law
+from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop, adaptation_law
 from .uncertain_measurement import UncertainMeasurement, uncertain_measurement
 
 LTI_SAMPLES = 1000
 PLANT_SAMPLES = 20  # full plants at each speed
-TIGHT_AT_RPM = (1500.0, 3000.0)
 
 Progress = Callable[[str, int, int], None]
 
@@ -61,7 +62,7 @@ class SpeedAnalysis:
     tightness : TightnessCheck or None
         Full plant along the worst direction; None if it was not asked for or not possible.
     untested : str
-        Why the worst direction was not possible, if it was asked for.
+        Why the worst direction was not possible, if it was asked for; else empty.
     """
 
     structured: StructuredRobustness
@@ -93,21 +94,18 @@ class SpeedAnalysis:
         margins = self.margins
         one = min(margins.one_at_a_time, key=lambda m: m.alpha) if margins.stable else None
         confirmed: dict[str, Any] = {}
+        t, coverage = self.tightness, self.measurement.coverage
         if self.lti is not None:
             confirmed = {
                 "sampled_lti": self.lti.samples,
                 "violations_lti": self.lti.violations,
                 "sampled_plant": len(self.plants),
                 "violations_plant": self.plant_violations,
+                "predicted_margin": None if t is None else t.predicted,
+                "simulated_margin": None if t is None else t.simulated,
+                "gain_factor": None if t is None else t.gain_factor,
+                "untested": self.untested,
             }
-        if self.tightness is not None:
-            confirmed |= {
-                "predicted_margin": self.tightness.predicted,
-                "simulated_margin": self.tightness.simulated,
-                "gain_factor": self.tightness.gain_factor,
-            }
-        elif self.untested:
-            confirmed["untested"] = self.untested
         return {
             "speed_rpm": self.speed_rpm,
             "demand_mg": 1e6 * self.measurement.demand,
@@ -132,12 +130,17 @@ class SpeedAnalysis:
             },
             "mu": {k: v for k, v in found.items() if k != "worst_case_gain"},
             "worst_case_gain": found["worst_case_gain"],
+            "coverage": None if coverage is None else coverage.to_dict(),
+            "beyond_reach": self.measurement.beyond_reach,
             "confirmed": confirmed,
         }
 
     def __str__(self) -> str:
         """Return the verdict and what confirmed it."""
         lines = [str(self.structured)]
+        coverage = self.measurement.coverage
+        if coverage is not None and not coverage.consistent:
+            lines.append(f"  BUT the description of the set is in doubt: {coverage}")
         if self.lti is not None:
             told = (
                 "contradict it"
@@ -211,6 +214,8 @@ def analyse_robustness(
     estimator: ChargeEstimator | None = None,
     gains: GainSchedule | None = None,
     demand: Callable[[float], float] = demand_at,
+    uncertain: UncertaintySet | None = None,
+    sensitivity_bound: float = SENSITIVITY_BOUND,
     confirm: bool = True,
     samples: int = PLANT_SAMPLES,
     tight_at: Sequence[float] | None = None,
@@ -234,13 +239,17 @@ def analyse_robustness(
         Gains; the default schedule if not given.
     demand : callable
         Charge in kg against speed in rpm.
+    uncertain : UncertaintySet, optional
+        What is uncertain; `uncertainty.default_set` by default.
+    sensitivity_bound : float
+        Bound on ``|S|`` that stands for performance.
     confirm : bool
         Whether to confirm the verdicts with linear members and full plants.
     samples : int
         Full plants at each speed.
     tight_at : sequence of float, optional
         Speeds, of those analysed, at which the full plant is driven to where it breaks (some
-        seconds each). By default those of `TIGHT_AT_RPM`; the first speed if none is of them.
+        seconds each); all by default.
     seed : int
         Seed of all random work.
     processes : int
@@ -260,7 +269,7 @@ def analyse_robustness(
     if not speeds_rpm or len(set(speeds_rpm)) != len(speeds_rpm):
         given = ", ".join(f"{speed:g}" for speed in speeds_rpm) or "none"
         raise ParameterError(f"the speeds are {given} rpm, but must be one or more, each once")
-    tight_at = _driven(speeds_rpm) if tight_at is None else tight_at
+    tight_at = speeds_rpm if tight_at is None else tight_at
     plant = CrankAnglePlant(engine, runner=True, oscillation=True)
     feedforward = Feedforward(maps, valvetrain=engine.valvetrain)
     found: list[SpeedAnalysis] = []
@@ -269,7 +278,13 @@ def analyse_robustness(
         if progress is not None:
             progress("robustness", k, count)
         measurement = uncertain_measurement(
-            plant, feedforward, demand(speed), speed, estimator=estimator, seed=seed
+            plant,
+            feedforward,
+            demand(speed),
+            speed,
+            estimator=estimator,
+            uncertain=uncertain,
+            seed=seed,
         )
         own = schedule.at(speed)
         law = adaptation_law(measurement, own)
@@ -281,7 +296,7 @@ def analyse_robustness(
         nominal = NominalLoop.of_sensor(law, local, estimator)
         found.append(
             SpeedAnalysis(
-                analyse_structured(UncertainLoop(measurement, law), seed=seed),
+                analyse_structured(UncertainLoop(measurement, law, sensitivity_bound), seed=seed),
                 gang_of_four(nominal),
                 disk_margins(nominal, at_delay=at_delay),
             )
@@ -310,29 +325,53 @@ def analyse_robustness(
         if progress is None
         else lambda done, total: progress("full plants", done, total),
     )
+    driven = [s for s in found if s.speed_rpm in tight_at]
+    cases = [
+        _Drive(
+            s.measurement,
+            at_speed(feedforward, s.speed_rpm),
+            schedule.at(s.speed_rpm),
+            plant,
+            seed,
+        )
+        for s in driven
+    ]
+    outcomes = in_processes(
+        _drive,
+        cases,
+        processes,
+        None if progress is None else lambda done, total: progress("worst directions", done, total),
+    )
+    by_speed = {s.speed_rpm: o for s, o in zip(driven, outcomes, strict=True)}
     confirmed = []
-    for k, s in enumerate(found):
-        if progress is not None:
-            progress("worst directions", k, count)
+    for s in found:
         lti = check_lti(
             s.structured.loop, samples=LTI_SAMPLES, seed=seed, bound=bounds[s.speed_rpm]
         )
-        tight, why = None, ""
-        if s.speed_rpm in tight_at:
-            try:
-                tight = check_tightness(
-                    s.measurement, feedforward, schedule.at(s.speed_rpm), plant=plant, seed=seed
-                )
-            except ParameterError as error:  # no gain, or no distance, at which it breaks
-                why = str(error)
+        tight, why = by_speed.get(s.speed_rpm, (None, ""))
         confirmed.append(
             replace(s, lti=lti, plants=plants.at(s.speed_rpm), tightness=tight, untested=why)
         )
-    if progress is not None:
-        progress("worst directions", count, count)
     return RobustAnalysis(tuple(confirmed), schedule, plants, seed)
 
 
-def _driven(speeds_rpm: Sequence[float]) -> Sequence[float]:
-    """Speeds at which the full plant is driven to where it breaks: one at least."""
-    return [speed for speed in speeds_rpm if speed in TIGHT_AT_RPM] or speeds_rpm[:1]
+@dataclass(frozen=True)
+class _Drive:
+    """What a drive along the worst direction needs; small enough for another process."""
+
+    measurement: UncertainMeasurement
+    feedforward: Feedforward
+    gains: AdaptationGains
+    plant: CrankAnglePlant
+    seed: int
+
+
+def _drive(case: _Drive) -> tuple[TightnessCheck | None, str]:
+    """Drive the full plant along the worst direction, or tell why that is not possible."""
+    try:
+        found = check_tightness(
+            case.measurement, case.feedforward, case.gains, plant=case.plant, seed=case.seed
+        )
+    except ParameterError as error:  # no gain, or no distance, at which it breaks
+        return None, str(error)
+    return found, ""

@@ -24,7 +24,7 @@ from uncertainty.sampling import Sample
 
 from ._closed_loop_runs import sampled_cases, step_response, widened
 from ._lti_members import spectral_radii
-from ._step_response import fastest, mode_growth
+from ._step_response import adapted_growth, turns_of_fastest
 from .adaptation import AdaptationGains, GainSchedule
 from .feedforward import Feedforward
 from .mu.blocks import BlockStructure, RealBlock
@@ -40,7 +40,7 @@ FARTHEST = 4.0  # times the bounds, up to which a break is sought
 _LEAST = {"maf.delay": 0.0, "maf.time_constant": 1e-3}  # s, below which no sensor can be
 _SCAN = 201
 _HIGHEST = 50.0  # gain up to which a break is sought
-_RAISE, _FINE = 1.12, 0.01  # steps of the search on the full plant
+_RAISE, _FINE, _RUNS = 1.12, 0.01, 16  # steps of the search on the full plant; runs, about
 
 Progress = Callable[[int, int], None]
 
@@ -65,7 +65,7 @@ class TightnessCheck:
         Worst direction in normalised parameters, the largest of size 1.
     predicted, simulated : float
         Distance along it at which the loop breaks, as a multiple of the assumed bounds;
-        `simulated` is infinite if the full plant did not break up to the last of `scales`.
+        `simulated` is infinite if the full plant breaks at none of `scales`, 0 if at all.
     predicted_turns, simulated_turns : float
         Turns per cycle of the pole that breaks (or, at the last of `scales`, grows most): q for
         mode q, half-way between two modes where the error changes sign from cycle to cycle.
@@ -234,7 +234,7 @@ def check_tightness(
         direction=direction,
         predicted=predicted,
         simulated=simulated,
-        predicted_turns=fastest(walk.poles(predicted), walk.adapted, measurement.n_cylinders)[1],
+        predicted_turns=turns_of_fastest(walk.poles(predicted), measurement.n_cylinders),
         simulated_turns=walk.turns[min(order, key=lambda s: abs(s - at_break))],
         values=measurement.values(deltas),
         limited=limited,
@@ -327,7 +327,7 @@ class _Walk:
         self.measurement, self.loop, self.direction = measurement, loop, direction
         self.plant, self.feedforward, self.cycles = plant, feedforward, cycles
         self.schedule = GainSchedule.constant(gains.mean, gains.imbalance)
-        self.adapted = 1 if gains.imbalance == 0.0 else measurement.n_cylinders // 2 + 1
+        self.held = gains.imbalance == 0.0
         self.runs: dict[float, FloatArray] = {}
         self.turns: dict[float, float] = {}
 
@@ -338,9 +338,7 @@ class _Walk:
 
     def description(self, scale: float) -> FloatArray:
         """Growth of the modes of the description."""
-        poles = self.poles(scale)
-        n = self.measurement.n_cylinders
-        return np.array([mode_growth(poles, q, n) for q in range(self.adapted)])
+        return adapted_growth(self.poles(scale), self.held, self.measurement.n_cylinders)
 
     def predicted(self) -> float:
         """Distance at which the description breaks."""
@@ -367,18 +365,17 @@ class _Walk:
         sample = Sample(uncertain, np.array([row]))
         (case,) = sampled_cases(m, self.feedforward, self.schedule, sample, self.plant, self.cycles)
         response = step_response(case)
-        self.runs[scale] = np.array([response.growth(q) for q in range(self.adapted)])
-        self.turns[scale] = fastest(response.poles, self.adapted, m.n_cylinders)[1]
+        self.runs[scale] = adapted_growth(response.adapted_poles, self.held, m.n_cylinders)
+        self.turns[scale] = turns_of_fastest(response.adapted_poles, m.n_cylinders)
         return self.runs[scale]
 
     def simulated(self, start: float, progress: Progress | None) -> float:
-        """Distance at which the full plant breaks, or infinity if none is found."""
-        most = 16
+        """Distance at which the full plant breaks; infinite if none is found, 0 if all do."""
 
         def unstable(scale: float) -> bool:
             found = bool(self.full(scale).max() >= 1.0)
             if progress is not None:
-                progress(min(len(self.runs), most), most)
+                progress(min(len(self.runs), _RUNS), _RUNS)
             return found
 
         in_range("start", start, 0.0, FARTHEST, "1", open_low=True)
@@ -386,6 +383,8 @@ class _Walk:
         if unstable(start):
             while unstable(low := low / _RAISE):
                 high = low
+                if low < 0.1 * start:
+                    return 0.0
         else:
             while not unstable(high := high * _RAISE):
                 low = high

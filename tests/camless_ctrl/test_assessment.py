@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from camless_ctrl.adaptation import GainSchedule
 from camless_ctrl.assessment import (
     as_dict,
     assess_boundary,
@@ -51,12 +52,14 @@ def quantified(ratio, p_value):
     return SimpleNamespace(channels=channels, least_ratio=ratio, coverage=coverage)
 
 
-def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9):
+def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9, p_value=0.5):
     return SimpleNamespace(
         speed_rpm=rpm,
         structured=SimpleNamespace(
-            performance=None if ceiling is None else SimpleNamespace(ceiling=ceiling)
+            performance=None if ceiling is None else SimpleNamespace(ceiling=ceiling),
+            robust_performance=ceiling is not None and ceiling < 1.0,
         ),
+        measurement=SimpleNamespace(coverage=SimpleNamespace(p_value=p_value)),
         lti=SimpleNamespace(violations=linear, samples=1000),
         plants=(None,) * 20,
         plant_violations=plants,
@@ -65,7 +68,7 @@ def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9):
 
 
 def analysed(*speeds):
-    return SimpleNamespace(speeds=speeds)
+    return SimpleNamespace(speeds=speeds, schedule=GainSchedule())
 
 
 def run_of(error, seed=0):
@@ -104,15 +107,22 @@ def test_structured_robustness_is_judged_by_its_worst_speed_and_by_all_that_was_
         assess_structured(
             analysed(
                 analysed_speed(1500.0),
-                analysed_speed(3000.0, ceiling=1.02, linear=2, plants=1, ratio=1.3),
+                analysed_speed(3000.0, 0.9, linear=2, plants=1, ratio=1.3, p_value=0.002),
+                analysed_speed(4500.0, ceiling=1.02, linear=7, ratio=1.5),
             )
         )
     )
     assert found["loop-robust-performance"].value == 1.02
-    assert found["loop-robust-performance"].note == "at 3000 rpm"
+    assert found["loop-robust-performance"].note == "at 4500 rpm"
+    # What was not called robust cannot be contradicted: 4500 rpm does not count.
     assert found["loop-sound"].value == 3
     assert found["loop-sound"].note == "2 of 2000 linear members, 1 of 40 full plants"
+    assert found["loop-coverage"].value == 0.002
+    # At 4500 rpm the differences are held: told, but not counted.
     assert found["loop-tight"].value == pytest.approx(30.0)
+    assert found["loop-tight"].note == (
+        "at 3000 rpm, of 2 speeds; the mean alone, not counted: 4500 rpm 50.0 %"
+    )
     assert not any(row.met for row in found.values())
     assert all(row.met for row in assess_structured(analysed(analysed_speed(1500.0))))
 
@@ -120,7 +130,7 @@ def test_structured_robustness_is_judged_by_its_worst_speed_and_by_all_that_was_
 def test_structured_robustness_without_mu_or_break_is_not_met():
     found = by_name(
         assess_structured(
-            analysed(analysed_speed(1500.0, ratio=None), analysed_speed(750.0, None, ratio=None))
+            analysed(analysed_speed(1500.0, ratio=None), analysed_speed(750.0, None, ratio=0.9))
         )
     )
     assert math.isnan(found["loop-robust-performance"].value)

@@ -195,7 +195,7 @@ def test_analyse_reports_the_worst_speed(tmp_path, capsys):
     assert len(speed["modes"]) == 3  # of four cylinders: mean, once per cycle, alternating
     assert status == int(not all(row["met"] for row in content["requirements"]))
     names = {row["name"] for row in content["requirements"]}
-    structured = {"loop-robust-performance", "loop-sound", "loop-tight"}
+    structured = {"loop-robust-performance", "loop-sound", "loop-tight", "loop-coverage"}
     assert names == {name for name in REQUIREMENTS if name.startswith("loop-")} - structured
     assert "1500 rpm" in capsys.readouterr().out
 

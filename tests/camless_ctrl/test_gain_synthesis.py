@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, lsq_linear
 
+from camless_ctrl._gain_search import GainSearch
 from camless_ctrl._rank_one import (
     RankOneLoop,
     UncertainValues,
@@ -25,6 +26,7 @@ from camless_ctrl.mu import (
     robust_stability,
     worst_case_gain,
 )
+from camless_ctrl.nominal_loop import NominalLoop
 from camless_ctrl.pulse_bank import PulseSum
 from camless_ctrl.synthesis import SynthesisError
 from camless_ctrl.uncertain_loop import REMAINDER, UncertainLoop
@@ -195,6 +197,12 @@ def test_differences_are_held_where_the_measurement_can_vanish(slow, fast):
     assert design.held
     assert design.gains.mean > 0.2
     assert "held" in str(design)
+    # All poles are then the mean's, at whatever angle they lie.
+    for gain in (design.gains.mean, 3.0):
+        loop = UncertainLoop.adaptive(fast, AdaptationGains(gain, 0.0))
+        radius = np.abs(NominalLoop.of_uncertain_loop(loop).poles).max()
+        tau = GainSearch(fast, 2.0, 0.99).time_constants(np.array([gain]), np.array([0.0]))
+        assert tau[0] == pytest.approx(-1.0 / (4.0 * np.log(radius)), rel=1e-9)
     # A small gain is unstable for some member of the set.
     loop = UncertainLoop.adaptive(fast, AdaptationGains(design.gains.mean, 0.02))
     corners = itertools.product((-1.0, 1.0), repeat=4)

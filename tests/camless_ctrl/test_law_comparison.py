@@ -138,6 +138,16 @@ def test_slowest_in_the_set_is_that_of_the_corners(slow, compared):
     assert max(times) > compared["quick"].settling_cycles[0]
 
 
+def test_a_set_with_an_unstable_member_never_settles(slow):
+    gains = PRESENT.scaled(4.0)
+    law = compare_laws(slow, {"fast": adaptation_law(slow, gains)}, worst_case=False)["fast"]
+    worst = robust_stability(law.loop.system, law.loop.structure).worst
+    assert law.stable  # in the middle of the set
+    assert worst.size < 1.0  # a member of it is not
+    assert all(np.isinf(law.worst_settling_cycles))
+    assert np.isfinite(law.settling_cycles).all()
+
+
 def test_held_modes_and_instability_are_told(compared):
     assert compared["mean only"].held == (False, True, True)
     assert compared["present"].held == (False, False, False)

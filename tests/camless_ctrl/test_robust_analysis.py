@@ -1,8 +1,16 @@
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from camless_ctrl.adaptation import GainSchedule
-from camless_ctrl.robust_analysis import RobustAnalysis, _driven, analyse_robustness
+from camless_ctrl.robust_analysis import (
+    RobustAnalysis,
+    SpeedAnalysis,
+    analyse_robustness,
+)
 from plant import ParameterError
+from uncertainty.coverage import bound_from_scores, check_fresh
 
 
 @pytest.mark.parametrize("speeds", [(), (1500.0, 3000.0, 1500)])
@@ -11,17 +19,20 @@ def test_speeds_are_given_once_each(speeds):
         analyse_robustness(None, speeds)  # before the maps are looked at
 
 
-@pytest.mark.parametrize(
-    ("speeds", "driven"),
-    [
-        ((750.0, 1500.0, 3000.0, 6000.0), [1500.0, 3000.0]),
-        ((6000.0, 3000.0), [3000.0]),
-        ((6000.0, 4500.0), [6000.0]),  # none of the usual ones: still one is tried
-    ],
-)
-def test_the_full_plant_is_driven_to_its_break_at_one_speed_at_least(speeds, driven):
-    assert list(_driven(speeds)) == driven
-
-
 def test_what_was_not_confirmed_is_not_sound():
     assert not RobustAnalysis((), GainSchedule(), None, 0).sound
+
+
+@pytest.mark.parametrize(("inside", "doubt"), [(200, False), (190, True)])
+def test_a_description_that_fresh_plants_refute_is_told_beside_the_verdict(inside, doubt):
+    bound = bound_from_scores(np.full(500, 1.0), confidence=0.95, share=0.99)
+    fresh = check_fresh(bound, np.repeat([0.5, 2.0], [inside, 200 - inside]))
+
+    class Structured(SimpleNamespace):
+        def __str__(self):
+            return "robustly stable"
+
+    measurement = SimpleNamespace(coverage=fresh)
+    structured = Structured(loop=SimpleNamespace(measurement=measurement))
+    text = str(SpeedAnalysis(structured, None, None))
+    assert ("in doubt" in text) == doubt

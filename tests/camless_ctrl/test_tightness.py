@@ -10,7 +10,7 @@ from camless_ctrl.adaptation import AdaptationGains, GainSchedule
 from camless_ctrl.estimator import ChargeEstimator
 from camless_ctrl.feedforward import Feedforward
 from camless_ctrl.pulse_bank import PulseSum
-from camless_ctrl.tightness import FARTHEST, check_tightness, gain_factor_for, physical
+from camless_ctrl.tightness import FARTHEST, _Walk, check_tightness, gain_factor_for, physical
 from camless_ctrl.uncertain_measurement import UncertainMeasurement, uncertain_measurement
 from plant import CrankAnglePlant, ParameterError, PulseResponse
 from uncertainty.parameters import UncertaintySet
@@ -146,3 +146,24 @@ def test_widened_set_holds_the_values(measurement):
     assert found["MAF delay"].high == 5e-3
     assert found["temperature"] == measurement.uncertain["temperature"]
     assert math.isclose(found["MAF delay"].low, measurement.uncertain["MAF delay"].low)
+
+
+@pytest.mark.parametrize(
+    ("growth", "distance"),
+    [
+        (lambda scale: 0.5 + 0.5 * scale / 0.8, 0.8),
+        (lambda scale: 0.5 + 0.5 * scale / 1.3, 1.3),
+        (lambda scale: 0.9, math.inf),
+        (lambda scale: 1.1, 0.0),  # unstable all the way down: the search ends
+    ],
+)
+def test_the_search_on_the_plant_finds_where_a_known_growth_is_one(growth, distance):
+    class Known(_Walk):
+        def __init__(self):
+            self.runs = {}
+
+        def full(self, scale):
+            self.runs[scale] = np.array([0.3, growth(scale)])
+            return self.runs[scale]
+
+    assert Known().simulated(1.0, None) == pytest.approx(distance, rel=1e-9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from camless_ctrl.assessment import assess_structured
@@ -10,6 +12,7 @@ from camless_ctrl.feedforward import Feedforward
 from camless_ctrl.gain_synthesis import design_schedule
 from camless_ctrl.law_comparison import LawComparison, compare_laws, standard_laws
 from camless_ctrl.robust_analysis import RobustAnalysis, analyse_robustness
+from camless_ctrl.synthesis import SynthesisError
 from camless_ctrl.tightness import TightnessCheck
 from plant import CrankAnglePlant
 
@@ -34,10 +37,6 @@ class StructuredRobustnessChapter:
             "structured",
             lambda: analyse_robustness(maps, engine=context.engine, seed=context.seed),
         )
-        design = design_schedule(found.measurements, confirm=False)
-        compared = [m for m in found.measurements if m.speed_rpm == COMPARED_RPM]
-        measurement = compared[0] if compared else found.measurements[0]
-        laws = compare_laws(measurement, standard_laws(measurement), worst_case=False)
         boundary = delay_boundary(
             Feedforward(maps, valvetrain=context.engine.valvetrain),
             plant=CrankAnglePlant(context.engine, oscillation=True),
@@ -59,10 +58,11 @@ class StructuredRobustnessChapter:
         tight = [s.tightness for s in found.speeds if s.tightness is not None]
         return ChapterResult(
             finding=Text(
-                "At {robust_speeds:.0f} of {speeds:.0f} speeds no engine or sensor of the assumed "
-                "set amplifies an error more than twice, which is proved; the smallest margin is "
-                "{margin:.2f} times the set, at {margin_speed:.0f}. Of {plants:.0f} sampled full "
-                "plants in closed loop {plant_violations:.0f} contradict it.",
+                "At {robust_speeds:.0f} of {speeds:.0f} speeds it is proved that nothing in the "
+                "linear description of the assumed set amplifies an error more than twice; the "
+                "smallest margin is {margin:.2f} times the set, at {margin_speed:.0f}. Of "
+                "{plants:.0f} sampled full plants in closed loop {plant_violations:.0f} are "
+                "unstable or beyond the bound of their speed.",
                 **numbers,
             ),
             blocks=[
@@ -70,7 +70,8 @@ class StructuredRobustnessChapter:
                     "What the estimator sees of a correction is taken from sampled full plants, "
                     "each settled as its own adaptation would settle it. Temperature, flow "
                     "coefficient, lag and delay of the air-flow sensor are real parameters with a "
-                    "direction of their own; what is left of all samples is a complex remainder. "
+                    "direction of their own; what is left of all samples is a complex remainder, "
+                    "sized to cover a claimed share of the set, which fresh plants check. "
                     "The structured singular value (mu) tells how many times that set is "
                     "withstood; its upper bound is proved between the frequencies too, its lower "
                     "bound comes with the perturbation that destabilises. Performance asks that "
@@ -101,28 +102,7 @@ class StructuredRobustnessChapter:
                     context.draw(boundary.plot()),
                 ),
                 Heading("Other laws"),
-                Figure(
-                    "designed-gains",
-                    Text(
-                        "Fastest gains with robust performance at each speed, beside those in "
-                        "use. Those in use are lower on purpose: noise of the estimate grows with "
-                        "the gain. Where the measurement of an imbalance mode vanishes for an "
-                        "engine of the set, no gain is robust and the differences are held."
-                    ),
-                    "Gains of mean and imbalance against speed, designed and in use.",
-                    context.draw(design.plot()),
-                ),
-                _laws(laws),
-                Figure(
-                    "laws",
-                    Text(
-                        "Sensitivity of the four laws at {laws_speed:.0f}, in the middle of the "
-                        "set and at its worst.",
-                        laws_speed=Number(measurement.speed_rpm, "rpm"),
-                    ),
-                    "Size of the sensitivity function over the angle per event for each law.",
-                    context.draw(laws.plot()),
-                ),
+                *_other_laws(context, found),
             ],
             numbers=numbers,
             requirements=assess_structured(found),
@@ -323,6 +303,41 @@ def _tight(context: Context, checks: list[TightnessCheck]) -> list[Block]:
     ]
 
 
+def _other_laws(context: Context, found: RobustAnalysis) -> list[Block]:
+    """Designed gains, and the laws compared; or why there is none."""
+    compared = [m for m in found.measurements if m.speed_rpm == COMPARED_RPM]
+    measurement = compared[0] if compared else found.measurements[0]
+    try:
+        design = design_schedule(found.measurements, confirm=False)
+        laws = compare_laws(measurement, standard_laws(measurement), worst_case=False)
+    except SynthesisError as error:
+        return [Text("No other law was found: {reason}", reason=str(error))]
+    return [
+        Figure(
+            "designed-gains",
+            Text(
+                "Fastest gains with robust performance at each speed, beside those in use. Those "
+                "in use are lower on purpose: noise of the estimate grows with the gain. Where "
+                "the measurement of an imbalance mode vanishes for an engine of the set, no gain "
+                "is robust and the differences are held."
+            ),
+            "Gains of mean and imbalance against speed, designed and in use.",
+            context.draw(design.plot()),
+        ),
+        _laws(laws),
+        Figure(
+            "laws",
+            Text(
+                "Sensitivity of the four laws at {laws_speed:.0f}, in the middle of the set and at "
+                "its worst.",
+                laws_speed=Number(measurement.speed_rpm, "rpm"),
+            ),
+            "Size of the sensitivity function over the angle per event for each law.",
+            context.draw(laws.plot()),
+        ),
+    ]
+
+
 def _laws(laws: LawComparison) -> Table:
     rows: list[list[Cell]] = [
         [
@@ -334,8 +349,8 @@ def _laws(laws: LawComparison) -> Table:
             law.worst_peak if np.isfinite(law.worst_peak) else None,
             law.disk_margin,
             law.noise,
-            max(law.settling_cycles),
-            max(law.worst_settling_cycles),
+            _slowest(law.settling_cycles, law.held),
+            _slowest(law.worst_settling_cycles, law.held),
         ]
         for law in laws.laws
     ]
@@ -343,15 +358,16 @@ def _laws(laws: LawComparison) -> Table:
         "laws-table",
         Text(
             "Laws at {table_speed:.0f}: the adaptation with the gains in use and with designed "
-            "ones, an H-infinity and a D-K law (orders reduced). Noise is the standard deviation "
+            "ones, an H-infinity and a D-K law (orders reduced). Mu and the worst case are exact "
+            "on a fine grid of angles, not proved between them. Noise is the standard deviation "
             "of the correction for white noise of the estimate; settling is to 2 % of the slowest "
-            "mode, in the middle of the set and at the slowest corner.",
+            "adapted mode, in the middle of the set and at the slowest corner.",
             table_speed=Number(laws.measurement.speed_rpm, "rpm"),
         ),
         [
             Column("law"),
             Column("order", "1", ".0f"),
-            Column("robust", words=("yes", "no")),
+            Column("mu below 1", words=("yes", "no")),
             Column("mu performance", "1", ".3f"),
             Column("|S| middle", "1", ".2f"),
             Column("|S| worst", "1", ".2f"),
@@ -362,3 +378,9 @@ def _laws(laws: LawComparison) -> Table:
         ],
         rows,
     )
+
+
+def _slowest(cycles: Sequence[float], held: Sequence[bool]) -> float | None:
+    """Slowest mode of those that are adapted; None if it never settles."""
+    found = max(c for c, kept in zip(cycles, held, strict=True) if not kept)
+    return found if np.isfinite(found) else None

@@ -7,6 +7,7 @@ from camless_ctrl.law_comparison import standard_laws
 from camless_ctrl.report.chapter import Context
 from camless_ctrl.report.chapters import structured as chapter
 from camless_ctrl.report.content import Figure, Table
+from camless_ctrl.synthesis import SynthesisError
 from plant import CrankAnglePlant, Engine, MeanValuePlant
 
 matplotlib.use("agg")
@@ -61,7 +62,12 @@ def test_the_tables_hold_what_was_found(result):
 def test_the_requirements_are_those_of_the_structured_analysis(result):
     found, content = result
     names = {r.requirement.name: r for r in content.requirements}
-    assert names.keys() == {"loop-robust-performance", "loop-sound", "loop-tight"}
+    assert names.keys() == {
+        "loop-robust-performance",
+        "loop-sound",
+        "loop-tight",
+        "loop-coverage",
+    }
     assert names["loop-robust-performance"].value == found.speeds[0].structured.performance.ceiling
     assert names["loop-sound"].value == 0
 
@@ -81,3 +87,14 @@ def test_the_analysis_prints_and_is_sound(result):
     assert "the full plant breaks at" in text
     (record,) = found.records()
     assert record["confirmed"]["sampled_plant"] == 3
+
+
+def test_a_synthesis_that_fails_is_told_and_does_not_end_the_chapter(result, monkeypatch):
+    found, _ = result
+
+    def none(measurements, confirm):
+        raise SynthesisError("no gain keeps |S| below 2")
+
+    monkeypatch.setattr(chapter, "design_schedule", none)
+    (text,) = chapter._other_laws(Context(engine=Engine.paper()), found)
+    assert str(text) == "No other law was found: no gain keeps |S| below 2"

@@ -170,11 +170,22 @@ class UncertainLoop:
         """Whether all of them lie inside the unit circle."""
         return bool(np.all(np.abs(self.poles) < 1.0))
 
-    def perturbed(self, delta: Delta | Mapping[str, float]) -> control.StateSpace:
-        """Return the closed loop for a perturbation: ``disturbance`` in, ``error`` out."""
+    def perturbed(
+        self, delta: Delta | Mapping[str, float] | control.StateSpace
+    ) -> control.StateSpace:
+        """Return the closed loop for a perturbation: ``disturbance`` in, ``error`` out.
+
+        Parameters
+        ----------
+        delta : Delta, mapping of str to float, or control.StateSpace
+            Values of the blocks, zero where none is given; or a system, such as
+            `Delta.realise` returns.
+        """
+        import control
+
         from .mu import lft
 
-        if not isinstance(delta, Delta):
+        if not isinstance(delta, Delta | control.StateSpace):
             values = {name: 0.0 for name in self.structure.names} | dict(delta)
             delta = Delta(self.structure, values)
         return lft(self.system, delta)

@@ -7,7 +7,6 @@ import pytest
 
 from camless_ctrl.adaptation import AdaptationGains
 from camless_ctrl.feedforward import Feedforward
-from camless_ctrl.mu import lft
 from camless_ctrl.structured_robustness import analyse_structured
 from camless_ctrl.uncertain_loop import UncertainLoop
 from camless_ctrl.uncertain_measurement import uncertain_measurement
@@ -47,7 +46,7 @@ def test_the_worst_perturbation_brings_a_pole_to_the_unit_circle(found):
     radii = []
     for factor in (0.98, 1.0, 1.02):
         delta = rs.worst.scaled(factor).realise(rs.worst_frequency, found.loop.system.dt)
-        closed = lft(found.loop.system, delta)
+        closed = found.loop.perturbed(delta)
         radii.append(float(np.max(np.abs(np.linalg.eigvals(closed.A)))))
     assert radii[0] < 1.0 - 1e-6
     assert radii[1] == pytest.approx(1.0, abs=1e-5)
@@ -117,7 +116,7 @@ def test_one_block_alone_is_withstood_farther_and_its_break_is_on_the_circle(fou
     assert abs(delta["MAF delay"]) == pytest.approx(alone.margin, rel=0.06)
     assert all(abs(delta[name]) <= 1.0 + 1e-9 for name in alone.held)
     realised = delta.realise(alone.worst_frequency, found.loop.system.dt)
-    poles = np.linalg.eigvals(lft(found.loop.system, realised).A)
+    poles = np.linalg.eigvals(found.loop.perturbed(realised).A)
     assert np.max(np.abs(poles)) == pytest.approx(1.0, abs=1e-5)
     with pytest.raises(ParameterError, match="block is 'delay'"):
         found.withstood_alone("delay")

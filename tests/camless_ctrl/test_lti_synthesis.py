@@ -1,5 +1,3 @@
-import itertools
-
 import numpy as np
 import pytest
 
@@ -11,62 +9,16 @@ from camless_ctrl._law_weights import (
     structured_plant,
 )
 from camless_ctrl.adaptation import AdaptationGains
-from camless_ctrl.estimator import ChargeEstimator
 from camless_ctrl.gain_synthesis import MU_LIMIT, design_gains
-from camless_ctrl.linearise import LocalResponse
 from camless_ctrl.lti_synthesis import EFFORT, dk_law, hinf_law
-from camless_ctrl.measurement_response import FlowShape, MeasurementResponse, event_time
 from camless_ctrl.mu import Delta, lft, robust_performance
-from camless_ctrl.pulse_bank import PulseSum
 from camless_ctrl.synthesis import SynthesisError, dk_synthesis, hinf_synthesis
 from camless_ctrl.uncertain_loop import REMAINDER, UncertainLoop, adaptation_law
-from camless_ctrl.uncertain_measurement import UncertainMeasurement
-from plant import ParameterError, ValveCommand
-from uncertainty.parameters import UncertaintySet
-from uncertainty.weights import fit_weight
-
-
-def measured(speed_rpm):
-    """Measurement through a MAF sensor of uncertain gain, lag and delay, from its formula alone."""
-    estimator, T = ChargeEstimator(), event_time(speed_rpm, 4)
-    uncertain = UncertaintySet.sensors().only(["MAF gain error", "MAF time constant", "MAF delay"])
-
-    def seen(gain_error, time_constant, delay):
-        response = MeasurementResponse.of_maf(
-            estimator, T, time_constant=time_constant, delay=delay
-        )
-        return PulseSum(((1.0 + gain_error, response),))
-
-    bounds = [(p.low, p.high) for p in uncertain]
-    middle = [0.5 * (low + high) for low, high in bounds]
-    centre, directions = seen(*middle), {}
-    for k, p in enumerate(uncertain):
-        ends = [seen(*middle[:k], end, *middle[k + 1 :]) for end in (p.high, p.low)]
-        directions[p.name] = ends[0].scaled(0.5) + ends[1].scaled(-0.5)
-
-    def left(omega):
-        z = np.exp(1j * np.asarray(omega) * T)
-        found = []
-        for d in itertools.product((-1.0, 0.0, 1.0), repeat=3):
-            values = [
-                0.5 * (a + b) + 0.5 * x * (b - a) for x, (a, b) in zip(d, bounds, strict=True)
-            ]
-            affine = sum(x * h(z) for x, h in zip(d, directions.values(), strict=True))
-            found.append(np.abs(seen(*values)(z) - centre(z) - affine))
-        return np.max(found, axis=0)
-
-    omega = np.linspace(0.0, np.pi, 49) / T
-    weight = fit_weight(omega, left(omega), dt=T, orders=(0, 1), floor=0.2, finer=left)
-    local = LocalResponse(
-        speed_rpm, 4, ValveCommand(5.0, 150.0), 250e-6, 1.0, 1.0, FlowShape.even()
-    )
-    return UncertainMeasurement(
-        local, 250e-6, estimator, uncertain, centre, centre, directions, weight
-    )
+from plant import ParameterError
 
 
 @pytest.fixture(scope="module")
-def slow():
+def slow(measured):
     return measured(1500.0)
 
 
@@ -202,7 +154,7 @@ def test_settling_is_that_of_a_simulation(slow, law):
         assert law.settling_cycles[q] == pytest.approx((last + 1) / 4)
 
 
-def test_without_imbalance_pace_the_differences_are_held():
+def test_without_imbalance_pace_the_differences_are_held(measured):
     fast = measured(6000.0)
     law = hinf_law(fast, shares=(0.7,), confirm=False)
     assert law.paces.imbalance == 0.0

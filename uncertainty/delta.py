@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plant import Engine, ParameterError
+from plant._checks import truth
 from plant._progress import Progress
 from plant.kinematics import FloatArray
 
@@ -207,6 +208,22 @@ class PlantDelta(Delta):
         if not further:
             return found
         return evaluate_cases(self, simulator, nominal, (*cases, *further), self.parameters(engine))
+
+
+class SameOptionsDelta(PlantDelta):
+    """Delta whose plants all have the same options; a subclass is a dataclass with the two."""
+
+    runner: bool
+    oscillation: bool
+
+    def __post_init__(self) -> None:
+        truth("runner", self.runner)
+        truth("oscillation", self.oscillation)
+
+    @property
+    def nominal(self) -> Nominal:
+        """Options of all plants."""
+        return Nominal(self.runner, self.oscillation)
 
 
 def evaluate_cases(

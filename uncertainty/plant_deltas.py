@@ -11,7 +11,7 @@ from plant import CrankAnglePlant, Engine
 from plant._checks import in_range, truth
 
 from ._delta_cases import corner_cases, cylinder_of, single_cases
-from .delta import Case, Nominal, PlantDelta
+from .delta import Case, Nominal, PlantDelta, SameOptionsDelta
 from .delta_result import DeltaResult
 from .parameters import DURATION_JITTER, DURATION_OFFSET, UncertainParameter, UncertaintySet
 from .perturbed import PerturbedPlants
@@ -144,7 +144,7 @@ class ActuatorOscillationDelta(PlantDelta):
 
 
 @dataclass(frozen=True)
-class ParametricDelta(PlantDelta):
+class ParametricDelta(SameOptionsDelta):
     """Parameters of the engine: one at a time, and all at once.
 
     The nominal plant is the engine as given. Cases: each parameter at either bound. From their
@@ -172,10 +172,6 @@ class ParametricDelta(PlantDelta):
     runner: bool = True
     oscillation: bool = False
 
-    def __post_init__(self) -> None:
-        truth("runner", self.runner)
-        truth("oscillation", self.oscillation)
-
     @property
     def name(self) -> str:
         """Short name."""
@@ -185,11 +181,6 @@ class ParametricDelta(PlantDelta):
     def effect(self) -> str:
         """What changes the plant, in words that begin a sentence."""
         return "The uncertainty of the engine's parameters"
-
-    @property
-    def nominal(self) -> Nominal:
-        """Options of the nominal plant."""
-        return Nominal(self.runner, self.oscillation)
 
     def cases(self, engine: Engine) -> tuple[Case, ...]:
         """Return the cases of one parameter at a time."""

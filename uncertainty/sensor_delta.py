@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plant import Engine
-from plant._checks import in_range, truth, whole
+from plant._checks import in_range, whole
 from plant.air_path import ComplexArray, FlowShape, PulseResponse, event_time
 from plant.kinematics import FloatArray
 from plant.sensors import MafSensor
 
 from ._delta_cases import single_cases
-from .delta import Case, Nominal, PlantDelta
+from .delta import Case, SameOptionsDelta
 from .parameters import UncertaintySet
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class ModeChanges:
 
 
 @dataclass(frozen=True)
-class SensorDelta(PlantDelta):
+class SensorDelta(SameOptionsDelta):
     """Gain error, lag and delay of the MAF sensor, and offset of the MAP sensor.
 
     Parameters
@@ -104,10 +104,6 @@ class SensorDelta(PlantDelta):
     runner: bool = True
     oscillation: bool = False
 
-    def __post_init__(self) -> None:
-        truth("runner", self.runner)
-        truth("oscillation", self.oscillation)
-
     @property
     def name(self) -> str:
         """Short name."""
@@ -117,11 +113,6 @@ class SensorDelta(PlantDelta):
     def effect(self) -> str:
         """What changes the indicated values, in words that begin a sentence."""
         return "The uncertainty of the sensors"
-
-    @property
-    def nominal(self) -> Nominal:
-        """Options of the plant."""
-        return Nominal(self.runner, self.oscillation)
 
     def cases(self, engine: Engine) -> tuple[Case, ...]:
         """Return the cases of one parameter at a time."""

@@ -129,10 +129,6 @@ def test_what_cannot_be_sent_is_refused():
         run_stoppable(math.sqrt, (4.0,), 0.0)
 
 
-def test_start_is_quick():
-    taken = []
-    for _ in range(3):
-        start = time.perf_counter()
-        run_stoppable(math.sqrt, (4.0,))
-        taken.append(time.perf_counter() - start)
-    assert min(taken) < 0.5  # nothing but the standard library is imported
+def test_the_start_imports_nothing_heavy():
+    code = "sorted({'numpy', 'scipy', 'control', 'slycot'} & set(__import__('sys').modules))"
+    assert run_stoppable(eval, (code,)) == []

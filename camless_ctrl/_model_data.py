@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Model = TypeVar("Model", bound="ChargeModel")
 
-FORMAT = "camless-ctrl charge model 1"
+FORMAT = "camless-ctrl charge model 2"
 _QUANTITIES = {
     "charge": ("kg", "nominal air charge per event", None),
     "lift_mm": ("mm", "valve lift", None),
@@ -42,6 +42,7 @@ _QUANTITIES = {
     ),
     "duration_slope": ("s-1", "slope of ln charge over duration at fixed lift", None),
     "shares": ("1", "shares of the inflow in parts of an event angle from IVO", "part"),
+    "share_slopes": ("1", "slope of the shares over ln flow gain", "part"),
 }
 _NUMBERS = (
     "lowest_lift_mm",

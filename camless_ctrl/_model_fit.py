@@ -20,7 +20,7 @@ from plant.sweep import Progress
 
 from ._model_table import HIGHEST_GAIN, LOWEST_GAIN, MOST_DROP_MM, ModelTable, MotionPath
 from .event_data import EVENTS, PARTS
-from .inflow_shares import inflow_shares
+from .inflow_shares import inflow_share_slopes, inflow_shares
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,6 +29,7 @@ _GAINS = 9  # simulated at each node, the nominal one apart
 _DENSITIES = (0.55, 0.75, 1.25)  # by which the throttle's coefficient is divided, 1
 _STEP_DEG = 1.0  # of duration, for its slope: a small part of a runner's oscillation
 _DROPS = (0.25, 0.6, 1.0)  # shares of the most lift taken off that are simulated
+_SLOPE_NODES = 15  # of the slopes of the shares, at most, in speed and along the path
 _SHARE_SPEEDS = 57  # speeds of the shares, at most; they vary much along the path only
 
 
@@ -99,6 +100,7 @@ def build_table(
     rows = np.unique(np.linspace(0, n - 1, min(n, _SHARE_SPEEDS)).round().astype(int))
     each = 1 + _GAINS + 3 + len(_DROPS) + len(_DENSITIES)
     total = each * speed.size + rows.size * positions.size
+    total += 2 * _coarse(speed.shape[0]).size * _coarse(speed.shape[1]).size
     simulation = _Simulation(plant, total, threads, progress)
     nominal = simulation.cycles(speed, lift, degrees)
     charge = nominal["air_charge"].values
@@ -120,6 +122,7 @@ def build_table(
         lift_response=_lift_response(simulation, speed, lift, degrees, charge),
         throttle_response=_throttle_response(simulation, speed, lift, degrees, charge),
         shares=_shares(simulation, speeds_rpm, lift, degrees, rows),
+        share_slopes=_share_slopes(simulation, speeds_rpm, lift, degrees),
         flow_residual=wide,
         narrow_residual=narrow,
         cycles=simulation.done,
@@ -230,3 +233,30 @@ def _shares(
     # A spline is linear in the values: the shares go on summing to 1.
     shares: FloatArray = make_interp_spline(rows, known, k=3, axis=0)(np.arange(lift.shape[0]))
     return shares
+
+
+def _coarse(nodes: int) -> np.ndarray:
+    """Some of the nodes, evenly, both ends among them."""
+    return np.unique(np.round(np.linspace(0, nodes - 1, min(_SLOPE_NODES, nodes))).astype(int))
+
+
+def _share_slopes(
+    simulation: _Simulation, speeds_rpm: FloatArray, lift: FloatArray, degrees: FloatArray
+) -> FloatArray:
+    """How the shares change with the ln of the flow gain, splined from a few nodes to all."""
+    from scipy.interpolate import make_interp_spline
+
+    rows, places = _coarse(lift.shape[0]), _coarse(lift.shape[1])
+    known = np.empty((rows.size, places.size, EVENTS * PARTS))
+    for a, i in enumerate(rows):
+        for b, j in enumerate(places):
+            command = ValveCommand(float(lift[i, j]), float(degrees[i, j]))
+            known[a, b] = inflow_share_slopes(simulation.plant, command, float(speeds_rpm[i]))
+            simulation.done += 2
+        if simulation.progress is not None:
+            simulation.progress(simulation.done, simulation.total)
+    # Linear in the values: the slopes go on summing to 0.
+    for axis, nodes, size in ((0, rows, lift.shape[0]), (1, places, lift.shape[1])):
+        degree = min(3, nodes.size - 1)
+        known = make_interp_spline(nodes, known, k=degree, axis=axis)(np.arange(size))
+    return known

@@ -24,7 +24,7 @@ LIFT_SLOPE = 8  # two columns: ln of the charge by powers 1, 2 of lift that is t
 THROTTLE = 10  # two columns: ln of the charge by powers 1, 2 of ln of the throttle's gain, 1
 DURATION_SLOPE = 12  # of the ln of the charge, at fixed lift, 1/s
 NARROW = 13  # columns that the inverse reads
-SHARES = 13
+SHARES = 13  # as many columns as there are parts
 
 # Entries of the settings.
 LOG_GAIN_LOW, LOG_GAIN_HIGH = 0, 1  # ln of the fitted flow gains
@@ -322,6 +322,9 @@ def invert(
         highest = command / (6.0 * speed_rpm) - settings[SHORTEST_REST]
         lift = max(min(lift, highest / settings[SHORTEST_RATE]), settings[LOWEST_LIFT])
     _write(spline, place, position, SHARES, shares)
+    slopes = np.empty_like(shares)
+    _write(spline, place, position, SHARES + shares.size, slopes)
+    shares += x * slopes  # a weak valve fills its cylinder in another rhythm
     return (
         lift,
         command,

@@ -22,8 +22,9 @@ _PARTS_OF_TABLE = {  # columns, in the kernel's order
     "throttle_response": slice(10, 12),
     "duration_slope": slice(12, 13),
     "shares": slice(13, 13 + EVENTS * PARTS),
+    "share_slopes": slice(13 + EVENTS * PARTS, 13 + 2 * EVENTS * PARTS),
 }
-COLUMNS = 13 + EVENTS * PARTS
+COLUMNS = 13 + 2 * EVENTS * PARTS
 LOWEST_DENSITY, HIGHEST_DENSITY = 0.55, 1.25  # relative densities that are fitted, 1
 LOWEST_GAIN, HIGHEST_GAIN = 0.6, 1.8  # relative flow coefficients that are fitted, 1
 MOST_DROP_MM = 1.0  # lift that may be taken off the path's, mm
@@ -75,8 +76,8 @@ class ModelTable:
         Of ln m by powers 1 and 2 of the lift taken off in mm.
     throttle_response : ndarray (s, q, 2)
         Of ln m by powers 1 and 2 of the ln of the gain of the throttle's flow coefficient, 1.
-    shares : ndarray (s, q, EVENTS * PARTS)
-        Shares of the inflow, 1.
+    shares, share_slopes : ndarray (s, q, EVENTS * PARTS)
+        Shares of the inflow, and how they change with the ln of the flow gain, 1.
     flow_residual, narrow_residual : float
         Largest residual of ln m of the flow response, over all gains and within 20 %.
     cycles : int
@@ -92,6 +93,7 @@ class ModelTable:
     lift_response: FloatArray
     throttle_response: FloatArray
     shares: FloatArray
+    share_slopes: FloatArray
     flow_residual: float
     narrow_residual: float
     cycles: int
@@ -107,6 +109,7 @@ class ModelTable:
                 self.throttle_response,
                 self.duration_slope[..., None],
                 self.shares,
+                self.share_slopes,
             ],
             axis=-1,
         )

@@ -5,8 +5,10 @@ Private to `kalman_adaptation`. This project's own design.
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,28 +39,11 @@ class Workspace(NamedTuple):
     common: FloatArray  # (2n, 2n), what of the prior all cylinders share
     variances: tuple[float, float]  # of the prior, of ln g (1) and d (s2)
     factor: float  # of exponential forgetting, on the covariance per event
-    filters: tuple[Any, Any]  # of one and of two measurements
-    rows: tuple[FloatArray, FloatArray]  # (m, 2n), zero between uses
-    noises: tuple[FloatArray, FloatArray]  # (m, m), diagonal
 
 
 def workspace(prior: FloatArray, walk: FloatArray, common: FloatArray, factor: float) -> Workspace:
     """Return the workspace for covariances (2n, 2n) of prior, walk, and common part."""
-    from filterpy.kalman import KalmanFilter
-
-    size = len(prior)
-    one, two = (KalmanFilter(dim_x=size, dim_z=m) for m in (1, 2))
-    one.inv, two.inv = _inverse_into(np.empty((1, 1))), _inverse_into(np.empty((2, 2)))
-    return Workspace(
-        prior,
-        walk,
-        common,
-        (float(prior[0, 0]), float(prior[-1, -1])),
-        factor,
-        (one, two),
-        (np.zeros((1, size)), np.zeros((2, size))),
-        (np.zeros((1, 1)), np.zeros((2, 2))),
-    )
+    return Workspace(prior, walk, common, (float(prior[0, 0]), float(prior[-1, -1])), factor)
 
 
 def structured(n: int, flow: tuple[float, float], offset: tuple[float, float]) -> FloatArray:
@@ -86,7 +71,6 @@ def limited(P: FloatArray, prior: FloatArray) -> FloatArray:
 
 
 def updated(
-    work: Workspace,
     x: FloatArray,
     P: FloatArray,
     at: tuple[int, int],
@@ -97,8 +81,6 @@ def updated(
 
     Parameters
     ----------
-    work : Workspace
-        Filters.
     x, P : ndarray (2n,), (2n, 2n)
         State and covariance before.
     at : (int, int)
@@ -108,23 +90,12 @@ def updated(
     duration : tuple of float or None
         Innovation (s) and variance of the noise (s2).
     """
-    i, j = at
-    last = 1 if charge is not None and duration is not None else 0
-    one, H, R = work.filters[last], work.rows[last], work.noises[last]
-    seen = []
-    if charge is not None:
-        s_g, s_d, innovation, R[0, 0] = charge
-        H[0, i], H[0, j] = s_g, s_d
-        seen.append(s_g * x.item(i) + s_d * x.item(j) + innovation)
-    if duration is not None:
-        H[last, j] = 1.0
-        innovation, R[last, last] = duration
-        seen.append(x.item(j) + innovation)
-    one.x, one.P, one.R = x, P, R
-    # One-dimensional states and measurements throughout: filterpy broadcasts others silently.
-    one.update(np.array(seen), H=H)
-    H[0, i] = H[0, j] = H[last, j] = 0.0
-    return one.x, one.P
+    s_g, s_d, error, noise = charge or (0.0, 0.0, 0.0, 1.0)
+    late, noise_d = duration or (0.0, 1.0)
+    found: tuple[FloatArray, FloatArray] = _kernel().update(
+        x, P, *at, charge is not None, s_g, s_d, error, noise, duration is not None, late, noise_d
+    )
+    return found
 
 
 def share_of_doubt(innovation: float, variance: float, prior: float) -> float:
@@ -240,16 +211,8 @@ def covariance_checked(P: FloatArray) -> FloatArray:
     return P
 
 
-def _inverse_into(out: FloatArray) -> Any:
-    """Return a function that inverts a covariance of one or two measurements into `out`."""
+@functools.cache
+def _kernel() -> ModuleType:
+    from . import _adaptation_kernel
 
-    def inverse(S: FloatArray) -> FloatArray:
-        if len(out) == 1:
-            out[0, 0] = 1.0 / S.item(0)
-            return out
-        (a, b), (c, d) = S.tolist()
-        share = 1.0 / (a * d - b * c)
-        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = d * share, -b * share, -c * share, a * share
-        return out
-
-    return inverse
+    return _adaptation_kernel

@@ -9,7 +9,7 @@ import numpy as np
 
 from plant.kinematics import FloatArray
 
-from .optimal_motion import OPTIMALITY, OptimalMotion
+from .least_loss_motion import OPTIMALITY, OptimalMotion
 
 CONSTRAINTS = (
     "lowest lift",

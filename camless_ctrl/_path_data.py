@@ -16,7 +16,7 @@ from plant.errors import ParameterError
 from ._path_certificates import CONSTRAINTS, UNITS, PathCertificates
 from ._path_limits import ChargeLimits
 from ._path_surface import DEGREE, LiftSurface
-from .optimal_motion import FeedforwardOptions
+from .least_loss_motion import FeedforwardOptions
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from plant import MeanValuePlant
 
-    from .optimal_motion import FeedforwardOptions
+    from .least_loss_motion import FeedforwardOptions
 
 SPEEDS = 51
 POSITIONS = 49

@@ -18,7 +18,7 @@ from ._path_scan import Branches, branches, scanned_lifts
 if TYPE_CHECKING:
     from plant import MeanValuePlant
 
-    from .optimal_motion import FeedforwardOptions
+    from .least_loss_motion import FeedforwardOptions
 
 _NEARLY = 0.03  # 1, share of the largest charge that the highest lift may fall short by
 _FINER = 6  # speeds per node at which the limits are checked

@@ -9,7 +9,7 @@ import numpy as np
 
 from plant.kinematics import FloatArray
 
-from .optimal_motion import FeedforwardOptions, OptimalityCertificate, OptimalMotion
+from .least_loss_motion import FeedforwardOptions, OptimalityCertificate, OptimalMotion
 
 if TYPE_CHECKING:
     from plant import MeanValuePlant

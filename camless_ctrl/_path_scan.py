@@ -14,7 +14,7 @@ from ._path_problem import ambient_charge
 if TYPE_CHECKING:
     from plant import MeanValuePlant
 
-    from .optimal_motion import FeedforwardOptions
+    from .least_loss_motion import FeedforwardOptions
 
 _STEP_MM = 0.05  # of the lifts
 _SHARES = 801  # points along a branch

@@ -13,7 +13,7 @@ from plant.region import shortest_deg
 if TYPE_CHECKING:
     from plant import CrankAnglePlant
 
-    from .optimal_motion import FeedforwardOptions
+    from .least_loss_motion import FeedforwardOptions
 
 CHARGE_TOLERANCE = 5e-5  # 1, relative, to which a charge is met
 # At resolution 1 the plant's steps leave up to 1e-4 of noise in charge and 4e-4 in loss, which

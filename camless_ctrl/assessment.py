@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .closed_loop import ClosedLoopResult, averaged
+from .closed_loop_result import ClosedLoopResult, averaged
 from .requirements import RequirementResult, evaluate
 
 if TYPE_CHECKING:
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from plant.validation import ValidationReport
     from uncertainty.quantification_result import Quantification
 
+    from .estimation_check import EstimationCheck
+    from .feedforward_check import FeedforwardCheck
+    from .performance import PerformanceTable
     from .robust_analysis import RobustAnalysis
     from .robustness import RobustnessResult
     from .structured_robustness import StructuredRobustness
@@ -148,6 +151,44 @@ def _ceiling(found: StructuredRobustness) -> float:
     """Bound of mu for performance at all frequencies; NaN without one."""
     performance = found.performance
     return performance.ceiling if performance is not None else math.nan
+
+
+def assess_feedforward(check: FeedforwardCheck) -> list[RequirementResult]:
+    """Requirement on the loss of the optimal path on the full plant."""
+    k = int(np.argmax(check.excess))
+    return [
+        evaluate(
+            "feedforward-loss",
+            100.0 * check.worst,
+            f"at {1e6 * check.charge[k]:.0f} mg, {check.speed_rpm[k]:.0f} rpm",
+        )
+    ]
+
+
+def assess_estimation(check: EstimationCheck) -> list[RequirementResult]:
+    """Requirements on the charge estimates against the full plant's charges."""
+    worst = max(check.results, key=lambda r: float(np.max(np.abs(r.cylinder_errors))))
+    doubted = [max(r.consistency, 1.0 / r.consistency) for r in check.results]
+    return [
+        evaluate(
+            "estimate-cylinder",
+            100.0 * check.worst_cylinder_error,
+            f"at {worst.point.speed_rpm:g} rpm, {worst.n_cylinders} cylinders",
+        ),
+        evaluate("estimate-honest", max(doubted)),
+    ]
+
+
+def assess_performance(table: PerformanceTable, law: str) -> list[RequirementResult]:
+    """Requirement on the bars of the performance table; one run a seed counts."""
+    missed = [row for row in table.of(law) if not row.met]
+    return [
+        evaluate(
+            "controller-bars",
+            len(missed) if table.of(law) else math.nan,
+            "; ".join(f"{row.name}: {row.worst:.2f} % of {row.bar:g} %" for row in missed),
+        )
+    ]
 
 
 def assess_load_step(runs: Sequence[ClosedLoopResult]) -> list[RequirementResult]:

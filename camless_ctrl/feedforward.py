@@ -18,6 +18,12 @@ from plant._checks import in_range, positive
 from plant.kinematics import FloatArray
 from plant.valve import shortest_duration
 
+from .cylinder_parameters import CylinderParameters
+from .event_data import EVENTS, PARTS, ModelPoint
+
+_NOMINAL = CylinderParameters()
+_EVEN = np.concatenate((np.full(PARTS, 1.0 / PARTS), np.zeros((EVENTS - 1) * PARTS)))
+_EVEN.setflags(write=False)
 _POINTS = 256  # of the table of a branch
 
 
@@ -120,6 +126,31 @@ class Feedforward:
         reached = min(max(charge, float(branch.charge[0])), float(branch.charge[-1]))
         duration = float(np.interp(reached, branch.charge, branch.duration_deg))
         return FeedforwardCommand(ValveCommand(lift, duration), reached, reached != charge)
+
+    def inverse(
+        self,
+        demand: float,
+        speed_rpm: float,
+        parameters: CylinderParameters = _NOMINAL,
+        density: float = 1.0,
+    ) -> ModelPoint:
+        """Return the command for a charge in kg with a cylinder's parameters.
+
+        This simple model takes the charge as proportional to charge factor, flow gain and
+        density, and its inflow as even over the event.
+        """
+        factor = parameters.charge_factor * parameters.flow_gain * density
+        found = self.command(demand / factor, speed_rpm)
+        rate = 6.0 * speed_rpm
+        return ModelPoint(
+            found.command.lift_mm,
+            found.command.duration_deg - rate * parameters.duration_offset,
+            factor * found.charge,
+            found.limited,
+            1.0,
+            rate * self.sensitivity(found.charge, speed_rpm) / found.charge,
+            _EVEN,
+        )
 
     def charge_at(self, duration_deg: float, speed_rpm: float) -> float:
         """Charge that the map promises at a duration, kg; held beyond the branch."""

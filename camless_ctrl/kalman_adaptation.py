@@ -10,9 +10,6 @@ start: an error of one cylinder tells of the others as far as they share it. An 
 the two noises uncorrelated by the assumption of `adaptation_laws`, where ``w`` is explained.
 What was used is part of the equation, so that it does not matter how long ago the command was.
 
-The filters of filterpy are scratch of the law object: share a law between states, not between
-threads.
-
 - *Forgetting*: the walk, and an exponential one on request. *Limits of the covariance*: no
   variance above its prior one is used, and none falls below one event's walk.
 - *Outliers*: beyond `gate` standard deviations the noise of an event is taken as so large that it
@@ -280,7 +277,6 @@ class KalmanAdaptation:
                 noise_d += spread_d * (abs(size_d) / self.gate - 1.0)
 
         x, P = updated(
-            work,
             x,
             P,
             (i, j),

@@ -333,7 +333,7 @@ class KalmanEstimator:
             return EstimatorUpdate(after, None, None, used, rejected, True)
         filter_ = work.filter
         filter_.x, filter_.P = work.x, work.P
-        filter_.update(work.z)
+        filter_.update(work.z, None, work.H)  # with H, no time goes into the shape of z
         x, P = filter_.x, filter_.P
         m, m_1, *_ = x.tolist()
         shape = self.shape_error * self.shape_error

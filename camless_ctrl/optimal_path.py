@@ -27,7 +27,7 @@ from ._path_fit import POSITIONS, exact_motion, fit_path
 from ._path_limits import ChargeLimits
 from ._path_surface import LiftSurface
 from .feedforward import FeedforwardCommand
-from .optimal_motion import FeedforwardOptions
+from .least_loss_motion import FeedforwardOptions
 
 if TYPE_CHECKING:
     import os

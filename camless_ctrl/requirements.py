@@ -280,6 +280,40 @@ REQUIREMENTS: dict[str, Requirement] = {
             "description of the loop as were found, if the claimed share were covered",
         ),
         Requirement(
+            "feedforward-loss",
+            1.0,
+            "%",
+            "at most",
+            _DESIGN,
+            "pumping loss of the optimal path on the full plant above the best of a direct search "
+            "at the same charge, at 50 random demands and speeds",
+        ),
+        Requirement(
+            "estimate-cylinder",
+            0.5,
+            "%",
+            "at most",
+            _DESIGN,
+            "largest mean error of a cylinder's estimated charge against the full plant, 750 to "
+            "6000 rpm and 3, 4, 6 cylinders, one of them 15 % weak; gain error of the sensor apart",
+        ),
+        Requirement(
+            "estimate-honest",
+            1.25,
+            "1",
+            "at most",
+            _DESIGN,
+            "spread of the estimation error over the one that the filter tells, or one over it",
+        ),
+        Requirement(
+            "controller-bars",
+            0.0,
+            "1",
+            "at most",
+            _DESIGN,
+            "figures of the performance table that the adaptive controller misses in a seed",
+        ),
+        Requirement(
             "cylinder-error",
             1.0,
             "%",

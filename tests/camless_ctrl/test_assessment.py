@@ -19,7 +19,7 @@ from camless_ctrl.assessment import (
     least,
     sentence,
 )
-from camless_ctrl.closed_loop import ClosedLoopResult
+from camless_ctrl.closed_loop_result import ClosedLoopResult
 from camless_ctrl.requirements import REQUIREMENTS, evaluate
 from plant import ParameterError
 
@@ -77,7 +77,8 @@ def run_of(error, seed=0):
     charge = 1e-4 * (1.0 + np.resize(error, m))
     flat = np.ones(m)
     return ClosedLoopResult("run", 2, seed, flat, np.arange(m) % 2 + 1, 1500 * flat, 1e-4 * flat,
-                            charge, charge, 3 * flat, 100 * flat, flat, flat > 2)  # fmt: skip
+                            charge, charge, 1e-6 * flat, flat, 3 * flat, 100 * flat, flat,
+                            0 * flat, flat, flat > 2, flat > 2)  # fmt: skip
 
 
 def test_load_step_is_judged_by_the_mean_over_seeds():

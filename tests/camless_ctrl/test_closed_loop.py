@@ -2,14 +2,17 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from camless_ctrl.closed_loop import ClosedLoopResult, run_load_step, simulate
-from camless_ctrl.controller import AirChargeController
+from camless_ctrl.adaptation import GainSchedule
+from camless_ctrl.closed_loop import ValveErrors, simulate
+from camless_ctrl.closed_loop_result import ClosedLoopResult, averaged
 from camless_ctrl.estimator import ChargeEstimator
 from camless_ctrl.feedforward import Feedforward
+from camless_ctrl.load_step import run_load_step
 from camless_ctrl.requirements import evaluate
+from camless_ctrl.window_loop import window_controller
 from plant import CrankAnglePlant
 from plant.errors import ParameterError
-from plant.sensors import MafSensor
+from plant.sensors import MafSensor, SensorSet
 
 mpl.use("Agg")
 
@@ -29,16 +32,33 @@ def synthetic(error, demand):
         demand=demands,
         charge=demands * (1.0 + error.ravel()),
         estimate=demands,
+        estimate_sigma=0.01 * demands,
+        pumping_loss=ones,
         lift_mm=3.0 * ones,
         duration_deg=100.0 * ones,
-        factor=ones,
+        flow_gain=ones,
+        duration_offset=0.0 * ones,
+        charge_factor=ones,
         limited=np.zeros(cycles * n, dtype=bool),
+        adapted=np.zeros(cycles * n, dtype=bool),
     )
+
+
+def controller_of(charge_map, estimator=None, **changes):
+    """Controller that knows neither runner nor oscillation."""
+    return window_controller(
+        Feedforward(charge_map), estimator or ChargeEstimator(), GainSchedule()
+    ).replace(**changes)
+
+
+IDEAL = SensorSet(maf=MafSensor().ideal())
+EXACT = ValveErrors()
 
 
 @pytest.fixture(scope="module")
 def load_step(charge_map):
-    return run_load_step(charge_map)
+    controller = controller_of(charge_map)
+    return averaged([run_load_step(controller, valves=EXACT, seed=k) for k in range(4)])
 
 
 def test_figures_of_a_run_by_hand():
@@ -74,7 +94,9 @@ def test_load_step_with_a_weak_cylinder(load_step):
 
 
 def test_weak_cylinder_takes_in_less_without_adaptation(charge_map):
-    result = run_load_step(charge_map, demand_mg=(170.0,), cycles=12, adapt=False)
+    result = run_load_step(
+        controller_of(charge_map, adapt=False), demand_mg=(170.0,), cycles=12, valves=EXACT
+    )
     errors = result.cylinder_errors(10)
     assert errors[1] == errors.min() < -0.04
     assert errors[3] == errors.max()
@@ -82,7 +104,11 @@ def test_weak_cylinder_takes_in_less_without_adaptation(charge_map):
 
 def test_estimates_are_true_without_noise(charge_map):
     result = run_load_step(
-        charge_map, demand_mg=(250.0,), cycles=12, maf=MafSensor().ideal(), adapt=False
+        controller_of(charge_map, adapt=False),
+        demand_mg=(250.0,),
+        cycles=12,
+        sensors=IDEAL,
+        valves=EXACT,
     )
     error = result.estimate / result.charge - 1.0
     assert np.nanmax(np.abs(error[8:])) < 3e-3  # what 1 ms samples leave of the pulses
@@ -90,7 +116,8 @@ def test_estimates_are_true_without_noise(charge_map):
 
 def test_same_seed_same_run(charge_map):
     runs = [
-        run_load_step(charge_map, demand_mg=(250.0,), cycles=6, seed=seed) for seed in (3, 3, 4)
+        run_load_step(controller_of(charge_map), demand_mg=(250.0,), cycles=6, seed=seed)
+        for seed in (3, 3, 4)
     ]
     np.testing.assert_array_equal(runs[0].charge, runs[1].charge)
     assert np.any(runs[0].estimate[8:-8] != runs[2].estimate[8:-8])
@@ -100,11 +127,11 @@ def test_plain_event_averages_do_not_balance(charge_map):
     # Corrections at 400 mg come in around IVC, late in the event: their alternating part is
     # seen with the wrong sign, and grows.
     result = run_load_step(
-        charge_map,
+        controller_of(charge_map, ChargeEstimator.event_average()),
         demand_mg=(400.0,),
         cycles=40,
-        maf=MafSensor().ideal(),
-        estimator=ChargeEstimator.event_average(),
+        sensors=IDEAL,
+        valves=EXACT,
     )
     early = np.ptp(result.relative_error[5:10].mean(axis=0))
     late = np.ptp(result.relative_error[-6:-1].mean(axis=0))
@@ -113,15 +140,13 @@ def test_plain_event_averages_do_not_balance(charge_map):
 
 
 def test_late_valve_is_adapted_away(charge_map):
-    controller = AirChargeController(Feedforward(charge_map))
     result = simulate(
         CrankAnglePlant(oscillation=True),
-        controller,
+        controller_of(charge_map),
         np.full(100, 2.5e-4),
         1500.0,
-        maf=MafSensor().ideal(),
-        duration_offset=(0.0, 2e-4, 0.0, 0.0),
-        duration_jitter=0.0,
+        sensors=IDEAL,
+        valves=ValveErrors((0.0, 2e-4, 0.0, 0.0)),
     )
     assert result.relative_error[0, 1] > 0.02  # 0.2 ms are 1.8 deg
     assert abs(result.relative_error[-2, 1]) < 3e-3
@@ -148,7 +173,7 @@ def test_controller_and_engine_must_agree(charge_map):
     with pytest.raises(ParameterError, match="controller is for 3 cylinders"):
         simulate(
             CrankAnglePlant(),
-            AirChargeController(Feedforward(charge_map), n_cylinders=3),
+            controller_of(charge_map, n_cylinders=3),
             np.full(4, 2.5e-4),
             1500.0,
         )

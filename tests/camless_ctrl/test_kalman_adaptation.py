@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
+from filterpy.kalman import KalmanFilter
 
-from camless_ctrl._kalman_update import bounded_least_squares, project_onto_box
+from camless_ctrl._kalman_update import bounded_least_squares, project_onto_box, updated
 from camless_ctrl.adaptation_laws import ParameterBounds
 from camless_ctrl.adaptation_stability import moved_charge
 from camless_ctrl.cylinder_parameters import CylinderParameters, ParameterSet
@@ -435,3 +436,33 @@ def test_broken_states_are_refused(change):
     law = KalmanAdaptation()
     with pytest.raises(ParameterError):
         law.from_dict({**law.to_dict(law.start(4)), **change})
+
+
+@pytest.mark.parametrize("charge", [None, (0.4, -30.0, 0.013, 1e-4)])
+@pytest.mark.parametrize("duration", [None, (4e-5, 5e-9)])
+def test_update_is_that_of_a_kalman_filter_of_all_measurements_at_once(charge, duration):
+    random = np.random.default_rng(3)
+    factor = random.standard_normal((8, 8)) * ([0.1] * 4 + [1e-4] * 4)
+    x, P = random.standard_normal(8) * ([0.1] * 4 + [1e-4] * 4), factor.T @ factor
+    H, R, error = [], [], []
+    if charge is not None:
+        row = np.zeros(8)
+        row[1], row[5] = charge[:2]
+        H, R, error = [row], [charge[3]], [charge[2]]
+    if duration is not None:
+        row = np.zeros(8)
+        row[5] = 1.0
+        H, R, error = [*H, row], [*R, duration[1]], [*error, duration[0]]
+    after, spread = updated(x, P, (1, 5), charge, duration)
+    if not H:
+        np.testing.assert_array_equal(after, x)
+        return
+    reference = KalmanFilter(dim_x=8, dim_z=len(H))
+    reference.x, reference.P, reference.R = x, P, np.diag(R)
+    rows = np.array(H)
+    reference.update(rows @ x + error, H=rows)
+    size = np.sqrt(P.diagonal())
+    np.testing.assert_allclose(after / size, reference.x / size, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        spread / size / size[:, None], reference.P / size / size[:, None], atol=1e-12
+    )

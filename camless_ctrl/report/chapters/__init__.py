@@ -6,8 +6,11 @@ from ..chapter import Chapter
 from .closed_loop import ClosedLoopChapter
 from .deltas import DeltasChapter
 from .engine import EngineChapter
+from .estimation import EstimationChapter
+from .feedforward import FeedforwardChapter
 from .intake import IntakeChapter
 from .maps import MapsChapter
+from .performance import PerformanceChapter
 from .reproducibility import ReproducibilityChapter
 from .requirements import RequirementsChapter
 from .robustness import RobustnessChapter
@@ -33,7 +36,10 @@ def default_chapters() -> tuple[Chapter, ...]:
         UncertaintyChapter(),
         RobustnessChapter(),
         StructuredRobustnessChapter(),
+        FeedforwardChapter(),
+        EstimationChapter(),
         ClosedLoopChapter(),
+        PerformanceChapter(),
         RequirementsChapter(),
         ReproducibilityChapter(),
     )

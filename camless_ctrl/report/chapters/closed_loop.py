@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from camless_ctrl.assessment import AFTER_CYCLES, assess_load_step
-from camless_ctrl.closed_loop import (
-    WEAK_CYLINDER,
-    ClosedLoopResult,
-    averaged,
-    run_load_step,
-)
+from camless_ctrl.closed_loop_result import ClosedLoopResult, averaged
+from camless_ctrl.controller_cases import JITTER, WEAK_CYLINDER
+from camless_ctrl.load_step import run_load_step
 from camless_ctrl.requirements import evaluate
 
 from ..chapter import Context
 from ..content import Cell, ChapterResult, Column, Figure, Number, Table, Text
-from .maps import mean_value_plant
+from .feedforward import controller_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as DrawnFigure
@@ -64,13 +61,17 @@ class ClosedLoopChapter:
             blocks=[
                 Text(
                     "The controller is run once per intake event against the full plant, runner "
-                    "and actuator oscillation on. It is told the air flow through the sensor (lag, "
-                    "transport delay, gain error, noise, quantisation) and the speed; it knows "
-                    "neither the true charges nor that the flow of one cylinder is {weak:.0f} of "
-                    "nominal. The feedforward inverts the mean-value maps; one factor per cylinder "
-                    "is adapted. Demands are {demands} per event at {speed:.0f}. The run is "
-                    "repeated with {seeds:.0f} seeds of the sensor's noise: figures are of one "
-                    "run, errors of their mean unless said otherwise.",
+                    "and actuator oscillation on. It is told the samples of air flow and manifold "
+                    "pressure (lag, transport delay, noise, quantisation), the measured valve "
+                    "durations and the speed; it knows neither the true charges nor that the flow "
+                    "of one cylinder is {weak:.0f} of nominal, and starts unadapted. The valves' "
+                    "durations jitter by {jitter:.2f} (1 sigma). What it learns of each cylinder, "
+                    "by recursive least squares, is a flow gain and an offset of the delivered "
+                    "duration; the feedforward takes the motion of least pumping loss of which "
+                    "the model, with these, promises the demand. Demands are {demands} per event "
+                    "at {speed:.0f}. The run is repeated with {seeds:.0f} seeds of noise and "
+                    "jitter: figures are of one run, errors of their mean unless said otherwise.",
+                    jitter=Number(1e3 * JITTER, "ms"),
                     seeds=Number(SEEDS),
                     weak=Number(100.0 * min(WEAK_CYLINDER), "%"),
                     demands=", ".join(f"{1e6 * d:.0f} mg" for d in _demands(adaptive)),
@@ -95,19 +96,18 @@ class ClosedLoopChapter:
 
 def load_steps(context: Context, *, adapt: bool) -> list[ClosedLoopResult]:
     """Return the load step at the report's seed and the following ones, run once."""
-    return context.shared(
-        f"load steps, adapt={adapt}",
-        lambda: [
+
+    def make() -> list[ClosedLoopResult]:
+        design = controller_design(context)
+        controller = design.controller if adapt else design.feedforward_alone()
+        return [
             run_load_step(
-                mean_value_plant(context),
-                engine=context.engine,
-                speed_rpm=SPEED_RPM,
-                seed=context.seed + k,
-                adapt=adapt,
+                controller, engine=context.engine, speed_rpm=SPEED_RPM, seed=context.seed + k
             )
             for k in range(SEEDS)
-        ],
-    )
+        ]
+
+    return context.shared(f"load steps, adapt={adapt}", make)
 
 
 def _settling(result: ClosedLoopResult) -> str:
@@ -210,13 +210,18 @@ def _cylinders(adaptive: ClosedLoopResult, alone: ClosedLoopResult) -> Table:
     last = adaptive.cylinder_errors(AFTER_CYCLES), alone.cylinder_errors(AFTER_CYCLES)
     return Table(
         "cylinders",
-        Text("The cylinders at the last demand: averaged errors, and the factor learnt."),
+        Text(
+            "The cylinders at the last demand: averaged errors, and what was learnt (mean of the "
+            "seeds). With the valve wide open the charge hardly depends on the flow gain, which "
+            "is therefore learnt slowly and need not be right for the charge to be."
+        ),
         [
             Column("cylinder", "", ".0f"),
             Column("true flow factor", "1", ".2f"),
             Column("error, adaptive", "%", "+.2f"),
             Column("error, feedforward", "%", "+.2f"),
-            Column("learnt charge factor", "1", ".3f"),
+            Column("learnt flow gain", "1", ".3f"),
+            Column("learnt offset", "ms", "+.3f"),
         ],
         [
             [
@@ -224,7 +229,8 @@ def _cylinders(adaptive: ClosedLoopResult, alone: ClosedLoopResult) -> Table:
                 WEAK_CYLINDER[i],
                 100.0 * float(last[0][i]),
                 100.0 * float(last[1][i]),
-                float(adaptive.factor[-n:][adaptive.cylinder[-n:] == i + 1][0]),
+                float(adaptive.flow_gain[-n:][i]),
+                1e3 * float(adaptive.duration_offset[-n:][i]),
             ]
             for i in range(n)
         ],

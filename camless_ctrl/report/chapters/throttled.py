@@ -6,13 +6,13 @@ from camless_ctrl.assessment import assess_throttle_steps
 from plant import (
     CrankAnglePlant,
     PumpingComparison,
-    ThrottledMeanValuePlant,
     compare_pumping,
     throttle_step,
 )
 
 from ..chapter import Context
 from ..content import Cell, ChapterResult, Column, Figure, Number, Table, Text
+from .feedforward import throttled_plant
 from .maps import mean_value_plant
 
 STEPS = ((1500.0, (20.0, 40.0, 20.0)), (1500.0, (25.0, 90.0, 25.0)), (5000.0, (25.0, 90.0, 25.0)))
@@ -34,7 +34,7 @@ class ThrottledChapter:
     def compute(self, context: Context) -> ChapterResult:
         """Identify the throttled plant, step its throttle, and compare pumping losses."""
         cam = CrankAnglePlant(context.engine, profile="conventional")
-        throttled = ThrottledMeanValuePlant.fit(cam)
+        throttled = throttled_plant(context)
         comparison = compare_pumping(mean_value_plant(context), throttled, speeds_rpm=SPEEDS_RPM)
         point = comparison.saving_at(
             PUBLISHED_CHARGE, PUBLISHED_SPEED_RPM, lift_mm=PUBLISHED_LIFT_MM

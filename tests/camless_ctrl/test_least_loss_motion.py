@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from camless_ctrl.optimal_motion import FeedforwardOptions, optimal_motion
+from camless_ctrl.least_loss_motion import FeedforwardOptions, optimal_motion
 from plant import CrankAnglePlant, Engine, MeanValuePlant, ParameterError
 from plant.valve import highest_lift_mm
 

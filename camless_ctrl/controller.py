@@ -1,0 +1,484 @@
+"""The air-charge controller: feedforward of the adapted inverse, once per intake event.
+
+Shortly before an IVO it takes in the samples since the last one, gets the charge of an earlier
+event from its estimator, adapts the parameters of that event's cylinder, and commands the valve
+that is about to open: the motion of least pumping loss of which the charge model, with the
+parameters learnt, promises the demand. The second part of the paper, which describes such a
+controller, is known by its abstract alone: the laws are this project's own.
+
+A step is a pure function of (state, measurement, demand). States are immutable, so that a run
+can be replayed from any of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
+
+from plant import ValveCommand
+from plant._checks import in_range, positive, whole
+from plant.air_path import event_time
+from plant.errors import ParameterError
+
+from .command_limits import CommandLimits
+from .cylinder_parameters import CylinderParameters, ParameterSet
+from .event_data import ChargeEstimate, ChargeEvidence, EventRecord, Measurement, ModelPoint
+
+_NOMINAL = CylinderParameters()
+_PLAUSIBLE = 3.0  # estimated over predicted charge, or one over it, that is believed
+_KEPT = 6  # events that the controller remembers: estimates come within three
+
+
+class ChargeModel(Protocol):
+    """What the controller asks of its model; `charge_model.ChargeModel` is one."""
+
+    def inverse(
+        self,
+        demand: float,
+        speed_rpm: float,
+        parameters: CylinderParameters = ...,
+        density: float = ...,
+    ) -> ModelPoint:
+        """Return the command for a charge in kg."""
+        ...
+
+
+class EstimatorUpdate(Protocol):
+    """What an estimator says after the samples of an event."""
+
+    @property
+    def state(self) -> Any:
+        """State of the estimator."""
+        ...
+
+    @property
+    def final(self) -> ChargeEstimate | None:
+        """Estimate of an event that will not be refined; None if there is no good one."""
+        ...
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the samples of a window contradict the model or are missing."""
+        ...
+
+    @property
+    def ambient_pressure(self) -> float:
+        """Ambient pressure as the pressure sensor sees it, Pa; NaN if that is not known."""
+        ...
+
+
+class Estimator(Protocol):
+    """What the controller asks of an estimator; `KalmanEstimator` is one."""
+
+    def start(self) -> Any:
+        """Return the state before the first event."""
+        ...
+
+    def update(self, state: Any, measurement: Measurement) -> EstimatorUpdate:
+        """Take in the samples since the last event."""
+        ...
+
+    def commanded(self, state: Any, record: EventRecord) -> Any:
+        """Return the state that knows of the event just commanded."""
+        ...
+
+
+class AdaptationState(Protocol):
+    """What an adaptation law has learnt."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Parameters of all cylinders."""
+        ...
+
+    def of(self, cylinder: int) -> CylinderParameters:
+        """Parameters of a cylinder (from 1)."""
+        ...
+
+
+class AdaptationStep(Protocol):
+    """Outcome of one update of an adaptation law."""
+
+    @property
+    def state(self) -> Any:
+        """State after it."""
+        ...
+
+    @property
+    def projected(self) -> bool:
+        """Whether a parameter was held at its bound."""
+        ...
+
+    @property
+    def moved(self) -> bool:
+        """Whether anything was learnt."""
+        ...
+
+
+class Adaptation(Protocol):
+    """What the controller asks of an adaptation law; see `adaptation_law`."""
+
+    def start(self, n_cylinders: int, parameters: ParameterSet | None = ...) -> Any:
+        """Return the state before the first event."""
+        ...
+
+    def update(self, state: Any, evidence: ChargeEvidence) -> AdaptationStep:
+        """Return the state after what one event says."""
+        ...
+
+    def to_dict(self, state: Any) -> dict[str, Any]:
+        """Return what was learnt as plain data."""
+        ...
+
+    def from_dict(self, data: Mapping[str, Any]) -> Any:
+        """Return the state of `to_dict`."""
+        ...
+
+
+class PendingEvent(NamedTuple):
+    """An event whose charge has not been used yet."""
+
+    record: EventRecord
+    exact: bool  # whether the model speaks of the command that was given
+
+
+class ControllerState(NamedTuple):
+    """All that the controller remembers; immutable."""
+
+    event_index: int  # of the next event
+    adaptation: Any
+    estimator: Any
+    pending: tuple[PendingEvent, ...]
+    commands: tuple[tuple[float, float] | None, ...]  # last lift (mm) and duration (s) of each
+    applied: float  # share of the learnt parameters that commands use, 1
+    density: float  # of the intake air over the model's, as the pressure sensor shows it, 1
+    held: int  # events for which nothing is learnt yet
+    time: float  # s, IVO of the last event
+    speed_rpm: float  # of the last event
+
+
+class Diagnostics(NamedTuple):
+    """What happened in one step."""
+
+    estimate: ChargeEstimate | None  # of an earlier event
+    parameters: CylinderParameters  # with which this command was made
+    predicted: float  # kg, charge that the model promises
+    limited: bool  # whether the demand is out of reach
+    rate_limited: bool  # whether the command could not change fast enough
+    projected: bool  # whether a parameter was held at its bound
+    adapted: bool  # whether anything was learnt
+    rejected: bool  # whether samples were missing or contradicted the model
+    density: float  # 1
+
+
+class ControlStep(NamedTuple):
+    """Outcome of `AirChargeController.step`."""
+
+    state: ControllerState
+    lift_mm: float
+    duration_deg: float
+    diagnostics: Diagnostics
+
+    @property
+    def command(self) -> ValveCommand:
+        """Command of the valve that opens next."""
+        return ValveCommand(self.lift_mm, self.duration_deg)
+
+
+@dataclass(frozen=True)
+class AirChargeController:
+    """Feedforward of the adapted inverse, charge estimate, per-cylinder adaptation.
+
+    Parameters
+    ----------
+    model : ChargeModel
+        From charge to command, with the parameters of a cylinder.
+    estimator : Estimator
+        From samples to charge.
+    adaptation : Adaptation
+        From charge to parameters.
+    n_cylinders : int
+        Number of cylinders.
+    limits : CommandLimits
+        Of the commands and of their rates.
+    duration_noise : float
+        Noise of a measured duration, 1 sigma, s.
+    duration_jitter : float
+        Random part of a delivered duration, 1 sigma, s.
+    ambient_pressure : float
+        Ambient pressure of the charge model, Pa.
+    density_gain : float
+        Share per event by which the density follows the ambient pressure that the estimator
+        sees; 0 leaves it at 1.
+    blend_events : int
+        Events over which learnt parameters are brought in or taken out, without a bump.
+    hold_events : int
+        Events for which nothing is learnt after bad samples.
+    adapt : bool
+        False learns nothing: with nominal parameters this is feedforward alone.
+    """
+
+    model: ChargeModel
+    estimator: Estimator
+    adaptation: Adaptation
+    n_cylinders: int = 4
+    limits: CommandLimits = field(default_factory=CommandLimits)
+    duration_noise: float = 0.05e-3
+    duration_jitter: float = 0.05e-3
+    ambient_pressure: float = 1e5
+    density_gain: float = 0.1
+    blend_events: int = 40
+    hold_events: int = 8
+    adapt: bool = True
+
+    def __post_init__(self) -> None:
+        whole("n_cylinders", self.n_cylinders, 1, 24)
+        in_range("duration_noise", self.duration_noise, 0.0, 0.01, "s")
+        in_range("duration_jitter", self.duration_jitter, 0.0, 0.01, "s")
+        positive("ambient_pressure", self.ambient_pressure, "Pa")
+        in_range("density_gain", self.density_gain, 0.0, 1.0, "1")
+        whole("blend_events", self.blend_events, 1, 100_000)
+        whole("hold_events", self.hold_events, 0, 100_000)
+
+    def replace(self, **changes: Any) -> AirChargeController:
+        """Return a copy with the given fields changed."""
+        return replace(self, **changes)
+
+    # -- state -------------------------------------------------------------------------------
+
+    def initial_state(
+        self, parameters: ParameterSet | None = None, *, density: float = 1.0
+    ) -> ControllerState:
+        """Return the state before the first event.
+
+        Parameters
+        ----------
+        parameters : ParameterSet, optional
+            What is known of the cylinders; nominal by default.
+        density : float
+            Density of the intake air over that of the model, 1.
+        """
+        if parameters is not None and parameters.n_cylinders != self.n_cylinders:
+            raise ParameterError(
+                f"the parameters are of {parameters.n_cylinders} cylinders, but the controller "
+                f"is for {self.n_cylinders}"
+            )
+        return ControllerState(
+            0,
+            self.adaptation.start(self.n_cylinders, parameters),
+            self.estimator.start(),
+            (),
+            (None,) * self.n_cylinders,
+            1.0,
+            positive("density", density, "1"),
+            0,
+            -math.inf,
+            math.nan,
+        )
+
+    def export_state(self, state: ControllerState) -> dict[str, Any]:
+        """Return what was learnt as plain data (for JSON), to start warm with."""
+        return {
+            "n_cylinders": self.n_cylinders,
+            "law": type(self.adaptation).__name__,
+            "density": state.density,
+            "adaptation": self.adaptation.to_dict(state.adaptation),
+        }
+
+    def import_state(self, data: Mapping[str, Any]) -> ControllerState:
+        """Return a state before the first event that knows what was learnt.
+
+        Raises
+        ------
+        ParameterError
+            If the data are of another number of cylinders or of another law.
+        """
+        own = {"n_cylinders": self.n_cylinders, "law": type(self.adaptation).__name__}
+        for name, value in own.items():
+            if data.get(name) != value:
+                raise ParameterError(
+                    f"the exported state has {name} {data.get(name)!r}, but this controller has "
+                    f"{value!r}: import it into a controller of the same kind"
+                )
+        fresh = self.initial_state(density=float(data["density"]))
+        return fresh._replace(adaptation=self.adaptation.from_dict(data["adaptation"]))
+
+    # -- one event ---------------------------------------------------------------------------
+
+    def step(
+        self,
+        state: ControllerState,
+        measurement: Measurement,
+        demand: float,
+        *,
+        active: bool = True,
+    ) -> ControlStep:
+        """Return the command of the next event, and the state after it.
+
+        Parameters
+        ----------
+        state : ControllerState
+            State before; not changed.
+        measurement : Measurement
+            What is known shortly before this IVO. Whatever it holds, nothing is raised: time
+            and speed that are not usable are replaced by the last ones, samples are the
+            estimator's to judge.
+        demand : float
+            Demanded charge of the event, kg.
+        active : bool
+            False takes what was learnt out of the commands, and True brings it back, both over
+            `blend_events`. Nothing is learnt in between.
+
+        Raises
+        ------
+        ParameterError
+            If the demand is not a positive number.
+        """
+        if not 0.0 < demand < math.inf:
+            positive("demand", demand, "kg")  # says what is wrong
+        n, k = self.n_cylinders, state.event_index
+        cylinder = k % n + 1
+        measurement = self._usable(state, measurement)
+        speed = measurement.speed_rpm
+
+        pending = _with_durations(state.pending, measurement.durations)
+        found = self.estimator.update(state.estimator, measurement)
+        held = self.hold_events if found.rejected else max(state.held - 1, 0)
+        adaptation, projected, adapted = state.adaptation, False, False
+        final = found.final
+        if final is not None and self.adapt and active and held == 0:
+            evidence = self._evidence(pending, final)
+            if evidence is not None:
+                moved = self.adaptation.update(adaptation, evidence)
+                adaptation, projected, adapted = moved.state, moved.projected, moved.moved
+
+        change = 1.0 / self.blend_events
+        applied = min(max(state.applied + (change if active else -change), 0.0), 1.0)
+        density = self._density(state.density, found.ambient_pressure)
+        used = _blended(adaptation.of(cylinder), applied)
+        point = self.model.inverse(demand, speed, used, density)
+        commands = state.commands
+        lift, duration, share = self.limits.apply(
+            point.lift_mm, point.duration_deg, speed, commands[cylinder - 1]
+        )
+        duration_deg = 6.0 * speed * duration
+        exact = lift == point.lift_mm and abs(duration_deg - point.duration_deg) < 1e-6
+        if not exact:
+            point = _moved(point, lift, duration_deg, speed)
+        record = EventRecord(k, cylinder, measurement.time, speed, point, used, math.nan)
+        after = ControllerState(
+            k + 1,
+            adaptation,
+            self.estimator.commanded(found.state, record),
+            (*pending[1 - _KEPT :], PendingEvent(record, exact)),
+            (*commands[: cylinder - 1], (lift, duration), *commands[cylinder:]),
+            applied,
+            density,
+            held,
+            measurement.time,
+            speed,
+        )
+        diagnostics = Diagnostics(
+            final,
+            used,
+            point.charge,
+            point.limited,
+            share < 1.0,
+            projected,
+            adapted,
+            found.rejected,
+            density,
+        )
+        return ControlStep(after, lift, duration_deg, diagnostics)
+
+    def _usable(self, state: ControllerState, measurement: Measurement) -> Measurement:
+        """Return the measurement with a usable time and speed."""
+        speed, time = measurement.speed_rpm, measurement.time
+        if not (math.isfinite(speed) and speed > 0.0):
+            speed = state.speed_rpm if math.isfinite(state.speed_rpm) else 1000.0
+        if not (math.isfinite(time) and time > state.time):
+            last = state.time if math.isfinite(state.time) else 0.0
+            time = last + event_time(speed, self.n_cylinders)
+        if speed is measurement.speed_rpm and time is measurement.time:
+            return measurement
+        return replace(measurement, speed_rpm=speed, time=time)
+
+    def _evidence(
+        self, pending: tuple[PendingEvent, ...], estimate: ChargeEstimate
+    ) -> ChargeEvidence | None:
+        """What an estimate says about its cylinder; None if the model does not know the event.
+
+        The delivered duration is the expected one, plus jitter, and is measured with noise. The
+        part of the measured deviation that is jitter, ``w``, moves the charge that is predicted;
+        what is left of charge and duration then have independent errors.
+        """
+        of, _, charge, variance, *_ = estimate
+        for record, exact in pending:  # noqa: B007 - used after the loop
+            if record[0] == of:
+                break
+        else:
+            return None
+        _, cylinder, _, speed, point, used, measured = record
+        ratio = charge / point.charge
+        if not (exact and 1.0 / _PLAUSIBLE < ratio < _PLAUSIBLE):
+            return None
+        slope = point.duration_slope
+        error = measured - point.duration_deg / (6.0 * speed)
+        jitter, noise = self.duration_jitter**2, self.duration_noise**2
+        log_ratio, w = math.log(ratio), 0.0
+        if math.isfinite(error) and jitter + noise > 0.0:
+            w = jitter / (jitter + noise)
+            log_ratio -= slope * w * (error - used.duration_offset)
+        return ChargeEvidence(
+            cylinder,
+            log_ratio,
+            variance / charge**2 + slope**2 * jitter * (1.0 - w),
+            error,
+            point.flow_slope,
+            slope,
+            used,
+            speed,
+        )
+
+    def _density(self, density: float, ambient_pressure: float) -> float:
+        """Density after one event, from the ambient pressure that the estimator sees."""
+        if not math.isfinite(ambient_pressure) or self.density_gain == 0.0:
+            return density
+        wanted = min(max(ambient_pressure / self.ambient_pressure, 0.4), 1.4)
+        return density + self.density_gain * (wanted - density)
+
+
+def _with_durations(
+    pending: tuple[PendingEvent, ...], durations: tuple[tuple[int, float], ...]
+) -> tuple[PendingEvent, ...]:
+    """Return the pending events with measured durations filled in."""
+    for event_index, duration in durations:
+        for i, (record, exact) in enumerate(pending):
+            if record[0] == event_index:
+                # Built by place, which takes a third of the time of a replacement by name.
+                told = PendingEvent(EventRecord(*record[:-1], duration), exact)
+                pending = (*pending[:i], told, *pending[i + 1 :])
+                break
+    return pending
+
+
+def _blended(learnt: CylinderParameters, applied: float) -> CylinderParameters:
+    """Return parameters between nominal and learnt ones."""
+    if applied == 1.0:
+        return learnt
+    if applied == 0.0:
+        return _NOMINAL
+    return CylinderParameters(
+        learnt.flow_gain**applied, learnt.duration_offset * applied, learnt.charge_factor**applied
+    )
+
+
+def _moved(point: ModelPoint, lift_mm: float, duration_deg: float, speed_rpm: float) -> ModelPoint:
+    """Return the point with another command; its charge to first order in the duration."""
+    change = (duration_deg - point.duration_deg) / (6.0 * speed_rpm)
+    exponent = min(max(point.duration_slope * change, -3.0), 0.5)
+    return point._replace(
+        lift_mm=lift_mm, duration_deg=duration_deg, charge=point.charge * math.exp(exponent)
+    )

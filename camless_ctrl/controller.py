@@ -212,6 +212,8 @@ class AirChargeController:
     density_gain : float
         Share per event by which the density follows the ambient pressure that the estimator
         sees; 0 leaves it at 1.
+    speed_range_rpm : (float, float)
+        Speeds that are believed; others are replaced by the last one.
     blend_events : int
         Events over which learnt parameters are brought in or taken out, without a bump.
     hold_events : int
@@ -229,6 +231,7 @@ class AirChargeController:
     duration_jitter: float = 0.05e-3
     ambient_pressure: float = 1e5
     density_gain: float = 0.1
+    speed_range_rpm: tuple[float, float] = (100.0, 10_000.0)
     blend_events: int = 40
     hold_events: int = 8
     adapt: bool = True
@@ -239,6 +242,8 @@ class AirChargeController:
         in_range("duration_jitter", self.duration_jitter, 0.0, 0.01, "s")
         positive("ambient_pressure", self.ambient_pressure, "Pa")
         in_range("density_gain", self.density_gain, 0.0, 1.0, "1")
+        positive("speed_range_rpm[0]", self.speed_range_rpm[0], "rpm")
+        in_range("speed_range_rpm[1]", self.speed_range_rpm[1], self.speed_range_rpm[0], 1e5, "rpm")
         whole("blend_events", self.blend_events, 1, 100_000)
         whole("hold_events", self.hold_events, 0, 100_000)
 
@@ -396,8 +401,9 @@ class AirChargeController:
     def _usable(self, state: ControllerState, measurement: Measurement) -> Measurement:
         """Return the measurement with a usable time and speed."""
         speed, time = measurement.speed_rpm, measurement.time
-        if not (math.isfinite(speed) and speed > 0.0):
-            speed = state.speed_rpm if math.isfinite(state.speed_rpm) else 1000.0
+        low, high = self.speed_range_rpm
+        if not low <= speed <= high:
+            speed = state.speed_rpm if math.isfinite(state.speed_rpm) else max(low, 1000.0)
         if not (math.isfinite(time) and time > state.time):
             last = state.time if math.isfinite(state.time) else 0.0
             time = last + event_time(speed, self.n_cylinders)

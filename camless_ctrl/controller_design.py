@@ -56,6 +56,8 @@ def design_controller(
     engine: Engine | None = None,
     *,
     maps: MeanValuePlant | None = None,
+    path: OptimalPath | None = None,
+    model: ChargeModel | None = None,
     options: FeedforwardOptions | None = None,
     sensors: SensorSet | None = None,
     adaptation: Adaptation | None = None,
@@ -69,6 +71,10 @@ def design_controller(
         The engine as it is known; the paper's by default. Its cylinders are equal.
     maps : MeanValuePlant, optional
         Maps of its full plant with runner and actuator oscillation; fitted if not given.
+    path : OptimalPath, optional
+        Path of optimal motions on those maps; found if not given.
+    model : ChargeModel, optional
+        Charge model of that path; fitted if not given.
     options : FeedforwardOptions, optional
         Of the feedforward.
     sensors : SensorSet, optional
@@ -90,16 +96,26 @@ def design_controller(
             "from equal cylinders and learns the rest: leave them out"
         )
     plant = CrankAnglePlant(base, runner=True, oscillation=True)
+    if path is not None:
+        maps, options = path.maps, path.options
     if maps is None:
         maps = MeanValuePlant.fit(plant, progress=_of("maps", progress))
     options = FeedforwardOptions() if options is None else options
-    path = OptimalPath.fit(maps, options=options, progress=_of("optimal motions", progress))
-    model = ChargeModel.fit(
-        path,
-        plant,
-        lowest_lift_mm=options.lowest_lift_mm,
-        progress=_of("charge model", progress),
-    )
+    if path is None:
+        path = OptimalPath.fit(maps, options=options, progress=_of("optimal motions", progress))
+    if model is None:
+        model = ChargeModel.fit(
+            path,
+            plant,
+            lowest_lift_mm=options.lowest_lift_mm,
+            progress=_of("charge model", progress),
+        )
+    if model.plant_fingerprint != plant.fingerprint:
+        raise ParameterError(
+            f"the charge model is one of the full plant {model.plant_fingerprint}, but the "
+            f"engine's is {plant.fingerprint}: fit it to CrankAnglePlant(engine, runner=True, "
+            "oscillation=True)"
+        )
     sensors = SensorSet() if sensors is None else sensors
     controller = AirChargeController(
         model,

@@ -41,6 +41,8 @@ class PerformanceRow:
         Figure of each seed, %; NaN where a run had no such figure.
     bar : float
         Bound, %.
+    single : bool
+        Whether it is of single events under jitter, see `Bar`.
     """
 
     case: str
@@ -48,6 +50,7 @@ class PerformanceRow:
     law: str
     values: tuple[float, ...] = field(repr=False)
     bar: float
+    single: bool = False
 
     @property
     def name(self) -> str:
@@ -243,7 +246,14 @@ def measure_performance(
                     for run in runs
                 ]
                 rows.append(
-                    PerformanceRow(name, bar.name, law, tuple(100.0 * v for v in values), bar.bound)
+                    PerformanceRow(
+                        name,
+                        bar.name,
+                        law,
+                        tuple(100.0 * v for v in values),
+                        bar.bound,
+                        bar.single,
+                    )
                 )
     return PerformanceTable(tuple(rows))
 

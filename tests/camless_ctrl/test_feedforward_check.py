@@ -4,7 +4,7 @@ import pytest
 from scipy.optimize import brentq
 
 from camless_ctrl.feedforward_check import check_feedforward, saving
-from camless_ctrl.optimal_motion import FeedforwardOptions
+from camless_ctrl.least_loss_motion import FeedforwardOptions
 from camless_ctrl.optimal_path import OptimalPath
 from plant import (
     CrankAnglePlant,

@@ -2,7 +2,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from camless_ctrl.optimal_motion import FeedforwardOptions
+from camless_ctrl.least_loss_motion import FeedforwardOptions
 from camless_ctrl.optimal_path import OptimalPath
 from plant import CrankAnglePlant, Engine, MeanValuePlant, ParameterError
 from plant.valve import highest_lift_mm

@@ -10,7 +10,7 @@ from ..chapter import Context
 from ..content import Cell, ChapterResult, Column, Figure, Number, Table, Text
 from .feedforward import controller_design
 
-SEEDS = 4  # of the report; `camless simulate --bars` runs twenty
+SEEDS = 3  # of the report; `camless simulate --bars` runs twenty
 
 
 class PerformanceChapter:

@@ -19,6 +19,10 @@ Private to `uncertain_measurement`.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,12 +32,12 @@ from plant.kinematics import FloatArray
 from plant.region import OperatingPoint
 from uncertainty.parameters import DURATION_OFFSET, UncertainParameter, UncertaintySet
 from uncertainty.perturbed import PerturbedPlants
-from uncertainty.pulse_sampling import SampledPulses
+from uncertainty.pulse_sampling import SampledPulses, sampled_pulses
 from uncertainty.sampling import Sample
 
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
-from .linearise import LocalResponse
+from .linearise import LocalResponse, local_response
 
 TRIM = UncertainParameter(
     "trim", -0.02, 0.02, 0.0, (DURATION_OFFSET,), False, "s", "what the adaptation commands"
@@ -41,6 +45,54 @@ TRIM = UncertainParameter(
 TRIMMED = 2e-3  # relative error of the estimate that is left
 _TRIMS = 8  # steps
 _PARTS = 60  # of an event, in the shape of the flow
+
+
+@dataclass(frozen=True)
+class WindowLoops:
+    """Sampled plants in loops of a map inverse at scheduled lift and of a window on the air flow.
+
+    Attributes
+    ----------
+    plant : CrankAnglePlant
+        Nominal full plant.
+    feedforward : Feedforward
+        Map that the controller believes.
+    estimator : ChargeEstimator
+        The estimator.
+    demand, speed_rpm : float
+        Operating point: kg, rpm.
+    """
+
+    plant: CrankAnglePlant = field(repr=False)
+    feedforward: Feedforward = field(repr=False)
+    estimator: ChargeEstimator
+    demand: float
+    speed_rpm: float
+
+    limits: ClassVar[str] = "duration"
+
+    @cached_property
+    def local(self) -> LocalResponse:
+        """Nominal plant at the operating point."""
+        return local_response(self.plant, self.feedforward, self.demand, self.speed_rpm)
+
+    def follow(
+        self, sample: Sample, progress: Callable[[int, int], None] | None = None
+    ) -> tuple[list[PulseResponse], int]:
+        """Response of the estimate on each plant, and how many are beyond the durations."""
+        local, feedforward = self.local, self.feedforward
+        trimmed = trimmed_sample(self.plant, sample, local, self.demand, feedforward)
+        pulses = sampled_pulses(
+            PerturbedPlants(self.plant, trimmed),
+            local.command,
+            self.speed_rpm,
+            reference_charge=self.demand,
+            progress=progress,
+        )
+        found = [
+            estimate_response(pulses, i, self.estimator, feedforward) for i in range(len(pulses))
+        ]
+        return found, beyond_reach(trimmed, local, feedforward)
 
 
 def trimmed_sample(

@@ -9,6 +9,7 @@ import numpy as np
 
 from .adaptation import GainSchedule
 from .estimator import ChargeEstimator
+from .estimator_response import LatentEstimator
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +34,7 @@ class ScheduleDesign:
         Schedule to compare with.
     present_mu : tuple of float
         Largest mu for robust performance of its gains at each speed.
-    estimators : tuple of (ChargeEstimator, float)
+    estimators : tuple of (LatentEstimator, float)
         Estimators that were compared, with the sum of the time constants over all speeds that
         each allows, cycles; infinite where another one holds the differences at fewer speeds.
     """
@@ -41,10 +42,10 @@ class ScheduleDesign:
     designs: tuple[GainDesign, ...]
     present: GainSchedule
     present_mu: tuple[float, ...]
-    estimators: tuple[tuple[ChargeEstimator, float], ...]
+    estimators: tuple[tuple[LatentEstimator, float], ...]
 
     @property
-    def estimator(self) -> ChargeEstimator:
+    def estimator(self) -> LatentEstimator:
         """Estimator of the designs."""
         return self.designs[0].measurement.estimator
 
@@ -97,8 +98,7 @@ class ScheduleDesign:
     def __str__(self) -> str:
         """Return a row a speed: gains, settling and mu, and mu of the present gains."""
         lines = [
-            f"Fastest gains per cycle with robust performance (estimator: delay "
-            f"{1e3 * self.estimator.delay:g} ms, taper {1e3 * self.estimator.taper:g} ms)",
+            f"Fastest gains per cycle with robust performance (estimator: {_told(self.estimator)})",
             "   rpm   mean  imbalance  settled after (cycles)     mu | present  imbalance     mu",
         ]
         for design, mu in zip(self.designs, self.present_mu, strict=True):
@@ -111,3 +111,10 @@ class ScheduleDesign:
                 f"{present.imbalance:9.3f}  {mu:5.3f}" + (" NOT robust" if mu >= 1.0 else "")
             )
         return "\n".join(lines)
+
+
+def _told(estimator: LatentEstimator) -> str:
+    """What tells estimators apart."""
+    if isinstance(estimator, ChargeEstimator):
+        return f"delay {1e3 * estimator.delay:g} ms, taper {1e3 * estimator.taper:g} ms"
+    return str(estimator)

@@ -26,6 +26,7 @@ from .event_loop import MODE_WIDTH
 HELD_WITHIN = 0.01  # change per cycle of a held mode that counts as none, 1
 _AT_HELD = 0.2  # distance of a pole of a held mode from 1, per cycle: its angle is not exact
 _NOISE = 1e-2  # singular values below this share of the largest are the integration's noise
+_LEFT, _FARTHER = 0.02, 20  # of a mode, with which a run goes on by its poles; times its length
 _SMALL = 0.01  # of the largest value: poles that carry less are not told from noise
 
 
@@ -108,16 +109,31 @@ class StepResponse:
         """Largest growth per cycle of an adapted mode, and the mode."""
         return max((self.growth(q), q) for q in self.modes if not self.is_held(q))
 
+    @cached_property
+    def _continued(self) -> FloatArray:
+        """Values, gone on with by their poles if much is left at the end of a stable run."""
+        y, poles = self.values, self.poles
+        if not self.stable or all(self.is_held(q) or self.left(q) < _LEFT for q in self.modes):
+            return y
+        k = np.arange(y.size)
+        decaying = poles[np.abs(poles) < 1.0]
+        amplitudes = np.linalg.lstsq(decaying ** k[:, None], y.astype(complex), rcond=None)[0]
+        further = np.arange(y.size, y.size * _FARTHER)
+        return np.concatenate((y, (decaying ** further[:, None] @ amplitudes).real))
+
     def sensitivity(self, angle: ArrayLike) -> ComplexArray:
-        """Sensitivity at angles per event in rad; of a stable loop."""
-        n, y = self.n_cylinders, self.values
+        """Sensitivity at angles per event in rad; of a stable loop.
+
+        A response that has not died in the run is gone on with by its poles.
+        """
+        n, y = self.n_cylinders, self._continued
         pulse = y - np.concatenate((np.zeros(n), y[:-n]))
         turns = np.exp(-1j * np.outer(np.ravel(angle), np.arange(y.size)))
         return np.asarray((turns @ pulse).reshape(np.shape(angle)))
 
     @property
     def sensitivity_peak(self) -> float:
-        """Largest ``|S|``; NaN if unstable, and too low if much is left at the end of the run."""
+        """Largest ``|S|``; NaN if unstable."""
         if not self.stable:
             return math.nan
         return float(np.abs(self.sensitivity(np.linspace(0.0, np.pi, 721))).max())

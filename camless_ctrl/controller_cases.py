@@ -44,8 +44,8 @@ class Bar:
     figure : callable
         From a run to the figure, a ratio.
     single : bool
-        Whether it is of single events under jitter, which comes after the command: what the
-        controller itself does is told by the like case without jitter.
+        Whether it is of a single event or cycle under jitter, which comes after the command:
+        what the controller itself does is told by the like case without jitter.
     """
 
     name: str
@@ -200,7 +200,7 @@ def performance_cases(
             np.full(speeds.size, 300.0 * mg),
             speeds,
             Bar("every event", 3.0, _largest_from(WARM_UP, 1), single=True),
-            Bar("mean of every cycle", 3.0, _largest_from(WARM_UP, n)),
+            Bar("mean of every cycle", 3.0, _largest_from(WARM_UP, n), single=True),
         ),
         case(
             "the same ramp, valves without jitter",

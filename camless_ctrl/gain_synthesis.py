@@ -28,6 +28,7 @@ from ._rank_one import UncertainValues, largest_real, mode_grid
 from ._schedule_design import ScheduleDesign
 from .adaptation import AdaptationGains, GainSchedule
 from .estimator import ChargeEstimator
+from .estimator_response import LatentEstimator
 from .synthesis.errors import SynthesisError
 from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop
 from .uncertain_measurement import UncertainMeasurement
@@ -275,7 +276,7 @@ def design_schedule(
         if progress is not None:
             progress(done, total)
 
-    found: dict[ChargeEstimator, list[GainDesign]] = {}
+    found: dict[LatentEstimator, list[GainDesign]] = {}
     for estimator, group in groups.items():
         found[estimator] = []
         for measurement in group:
@@ -312,7 +313,7 @@ def design_schedule(
 
 def _by_estimator(
     measurements: Sequence[UncertainMeasurement],
-) -> dict[ChargeEstimator, list[UncertainMeasurement]]:
+) -> dict[LatentEstimator, list[UncertainMeasurement]]:
     """Measurements by estimator, each sorted by speed.
 
     Raises
@@ -320,7 +321,7 @@ def _by_estimator(
     ParameterError
         If there is none, or the estimators were not measured at the same speeds, each once.
     """
-    found: dict[ChargeEstimator, list[UncertainMeasurement]] = {}
+    found: dict[LatentEstimator, list[UncertainMeasurement]] = {}
     for measurement in sorted(measurements, key=lambda m: m.speed_rpm):
         found.setdefault(measurement.estimator, []).append(measurement)
     speeds = {tuple(m.speed_rpm for m in group) for group in found.values()}

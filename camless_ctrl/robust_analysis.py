@@ -2,14 +2,14 @@
 
 At each speed: poles first, then margins, then the structured singular value; linear members of
 the set and sampled full plants in closed loop, which no verdict of "robust" may contradict
-(*sound*); and the full plant driven along the predicted worst direction until it breaks
-(*tight*).
+(*sound*); and the full plant driven along the predicted worst direction, or with rising gains,
+until it breaks (*tight*).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,149 +17,35 @@ import numpy as np
 from plant import CrankAnglePlant, Engine, MeanValuePlant, ParameterError
 from uncertainty.parameters import UncertaintySet
 
-from ._closed_loop_runs import at_speed, in_processes
+from ._processes import in_processes
 from .adaptation import AdaptationGains, GainSchedule
-from .disk_margins import DiskMargins, disk_margins
+from .analysed_control import AnalysedControl, DesignedControl, WindowControl
+from .charge_model import ChargeModel
+from .controller import Adaptation
+from .controller_design import ControllerDesign
+from .disk_margins import disk_margins
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
-from .gang_of_four import GangOfFour, gang_of_four
-from .nominal_loop import NominalLoop
+from .gain_break import GainBreak, check_gain_break
+from .gang_of_four import gang_of_four
 from .robustness import SPEEDS_RPM, demand_at
 from .soundness import (
-    LtiCheck,
-    SampledPlantRun,
     SampledPlantsCheck,
     check_lti,
     check_sampled_plants,
 )
-from .structured_robustness import StructuredRobustness, analyse_structured
+from .speed_analysis import SpeedAnalysis
+from .structured_robustness import analyse_structured
 from .tightness import TightnessCheck, check_tightness
-from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop, adaptation_law
-from .uncertain_measurement import UncertainMeasurement, uncertain_measurement
+from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop
+from .uncertain_measurement import UncertainMeasurement
+
+__all__ = ["PLANT_SAMPLES", "RobustAnalysis", "SpeedAnalysis", "analyse_robustness"]
 
 LTI_SAMPLES = 1000
 PLANT_SAMPLES = 20  # full plants at each speed
 
 Progress = Callable[[str, int, int], None]
-
-
-@dataclass(frozen=True)
-class SpeedAnalysis:
-    """Robustness of the loop at one speed, and what confirmed it.
-
-    Attributes
-    ----------
-    structured : StructuredRobustness
-        Structured singular value and worst case.
-    gang : GangOfFour
-        Sensitivity functions of the loop with the nominal sensor.
-    margins : DiskMargins
-        Margins of it, per mode, of one cylinder and of all.
-    lti : LtiCheck or None
-        Linear members of the set; None if it was not confirmed.
-    plants : tuple of SampledPlantRun
-        Sampled full plants in closed loop.
-    tightness : TightnessCheck or None
-        Full plant along the worst direction; None if it was not asked for or not possible.
-    untested : str
-        Why the worst direction was not possible, if it was asked for; else empty.
-    """
-
-    structured: StructuredRobustness
-    gang: GangOfFour = field(repr=False)
-    margins: DiskMargins = field(repr=False)
-    lti: LtiCheck | None = field(default=None, repr=False)
-    plants: tuple[SampledPlantRun, ...] = field(default=(), repr=False)
-    tightness: TightnessCheck | None = field(default=None, repr=False)
-    untested: str = ""
-
-    @property
-    def speed_rpm(self) -> float:
-        """Speed."""
-        return self.structured.speed_rpm
-
-    @property
-    def measurement(self) -> UncertainMeasurement:
-        """Uncertain measurement at the speed."""
-        return self.structured.loop.measurement
-
-    @property
-    def plant_violations(self) -> int:
-        """Sampled full plants that are unstable or beyond the bound of their speed."""
-        return sum(run.violation for run in self.plants)
-
-    def record(self) -> dict[str, Any]:
-        """Return the figures, for a JSON file."""
-        found = self.structured.record()
-        margins = self.margins
-        one = min(margins.one_at_a_time, key=lambda m: m.alpha) if margins.stable else None
-        confirmed: dict[str, Any] = {}
-        t, coverage = self.tightness, self.measurement.coverage
-        if self.lti is not None:
-            confirmed = {
-                "sampled_lti": self.lti.samples,
-                "violations_lti": self.lti.violations,
-                "sampled_plant": len(self.plants),
-                "violations_plant": self.plant_violations,
-                "predicted_margin": None if t is None else t.predicted,
-                "simulated_margin": None if t is None else t.simulated,
-                "gain_factor": None if t is None else t.gain_factor,
-                "untested": self.untested,
-            }
-        return {
-            "speed_rpm": self.speed_rpm,
-            "demand_mg": 1e6 * self.measurement.demand,
-            "stable": self.structured.stable,
-            "robustly_stable": self.structured.robustly_stable,
-            "robust_performance": self.structured.robust_performance,
-            "modes": [
-                {
-                    "q": m.q,
-                    "disk_margin": m.disk.alpha,
-                    "gain_margin": m.classical.gain_margin,
-                    "phase_margin_deg": m.classical.phase_margin_deg,
-                    "peak_sensitivity": self.gang.peak("S", m.q).value,
-                }
-                for m in margins.modes
-            ],
-            "disk_margin": {
-                "one_cylinder": one.alpha if one else float("nan"),
-                "all_cylinders": margins.all_loops.alpha,
-                "delay_s": margins.delay.sensor_delay,
-                "delay_events": margins.delay.events,
-            },
-            "mu": {k: v for k, v in found.items() if k != "worst_case_gain"},
-            "worst_case_gain": found["worst_case_gain"],
-            "coverage": None if coverage is None else coverage.to_dict(),
-            "beyond_reach": self.measurement.beyond_reach,
-            "confirmed": confirmed,
-        }
-
-    def __str__(self) -> str:
-        """Return the verdict and what confirmed it."""
-        lines = [str(self.structured)]
-        coverage = self.measurement.coverage
-        if coverage is not None and not coverage.consistent:
-            lines.append(f"  BUT the description of the set is in doubt: {coverage}")
-        if self.lti is not None:
-            told = (
-                "contradict it"
-                if self.structured.robust_performance
-                else f"are unstable or beyond |S| = {self.lti.bound:.2f}"
-            )
-            lines.append(
-                f"  sampled: {self.lti.violations} of {self.lti.samples} linear members and "
-                f"{self.plant_violations} of {len(self.plants)} full plants {told}"
-            )
-        if self.tightness is not None:
-            t = self.tightness
-            lines.append(
-                f"  tight: with gains x {t.gain_factor:.2f} the break is predicted at "
-                f"{t.predicted:.2f} times the bounds, the full plant breaks at {t.simulated:.2f}"
-            )
-        elif self.untested:
-            lines.append(f"  worst direction not tried: {self.untested}")
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -207,12 +93,13 @@ class RobustAnalysis:
 
 
 def analyse_robustness(
-    maps: MeanValuePlant,
+    maps: MeanValuePlant | ControllerDesign,
     speeds_rpm: Sequence[float] = SPEEDS_RPM,
     *,
     engine: Engine | None = None,
     estimator: ChargeEstimator | None = None,
     gains: GainSchedule | None = None,
+    adaptation: Adaptation | None = None,
     demand: Callable[[float], float] = demand_at,
     uncertain: UncertaintySet | None = None,
     sensitivity_bound: float = SENSITIVITY_BOUND,
@@ -227,20 +114,22 @@ def analyse_robustness(
 
     Parameters
     ----------
-    maps : MeanValuePlant
-        Maps that the controller believes.
+    maps : MeanValuePlant or ControllerDesign
+        Maps that the window controller believes, or a designed controller.
     speeds_rpm : sequence of float
         Speeds, each once.
     engine : Engine, optional
-        The engine; the paper's by default.
+        The engine; the paper's by default, or that of the design.
     estimator : ChargeEstimator, optional
-        The estimator; the default one if not given.
+        Estimator of the window controller; the default one if not given.
     gains : GainSchedule, optional
-        Gains; the default schedule if not given.
+        Gains of the window controller; the default schedule if not given.
+    adaptation : Adaptation, optional
+        Law of a designed controller, if it is not its own.
     demand : callable
         Charge in kg against speed in rpm.
     uncertain : UncertaintySet, optional
-        What is uncertain; `uncertainty.default_set` by default.
+        What is uncertain; as in `uncertain_measurement` by default.
     sensitivity_bound : float
         Bound on ``|S|`` that stands for performance.
     confirm : bool
@@ -260,47 +149,34 @@ def analyse_robustness(
     Raises
     ------
     ParameterError
-        If a speed is given twice or none is, or a demand is out of the plant's reach.
+        If a speed is given twice or none is, a demand is out of the plant's reach, or parts of
+        one kind of controller are given for the other.
     """
-    engine = Engine.paper() if engine is None else engine
-    estimator = ChargeEstimator() if estimator is None else estimator
-    schedule = GainSchedule() if gains is None else gains
     speeds_rpm = tuple(float(speed) for speed in speeds_rpm)
     if not speeds_rpm or len(set(speeds_rpm)) != len(speeds_rpm):
         given = ", ".join(f"{speed:g}" for speed in speeds_rpm) or "none"
         raise ParameterError(f"the speeds are {given} rpm, but must be one or more, each once")
     tight_at = speeds_rpm if tight_at is None else tight_at
-    plant = CrankAnglePlant(engine, runner=True, oscillation=True)
-    feedforward = Feedforward(maps, valvetrain=engine.valvetrain)
+    plant, controlled = _controlled(maps, engine, estimator, gains, adaptation)
     found: list[SpeedAnalysis] = []
+    own: dict[float, AdaptationGains] = {}
     count = len(speeds_rpm)
     for k, speed in enumerate(speeds_rpm):
         if progress is not None:
             progress("robustness", k, count)
-        measurement = uncertain_measurement(
-            plant,
-            feedforward,
-            demand(speed),
-            speed,
-            estimator=estimator,
-            uncertain=uncertain,
-            seed=seed,
-        )
-        own = schedule.at(speed)
-        law = adaptation_law(measurement, own)
-        local = measurement.local
+        measurement = controlled.measurement(demand(speed), speed, uncertain, seed)
+        own[speed] = controlled.gains(measurement)
 
-        def at_delay(delay: float, law: Any = law, local: Any = local) -> NominalLoop:
-            return NominalLoop.of_sensor(law, local, estimator, delay=delay)
-
-        nominal = NominalLoop.of_sensor(law, local, estimator)
+        nominal = controlled.nominal(measurement, own[speed])
+        loop = UncertainLoop.adaptive(measurement, own[speed], sensitivity_bound)
         found.append(
             SpeedAnalysis(
-                analyse_structured(UncertainLoop(measurement, law, sensitivity_bound), seed=seed),
+                analyse_structured(loop, seed=seed),
                 gang_of_four(nominal),
-                disk_margins(nominal, at_delay=at_delay),
+                disk_margins(nominal, at_delay=controlled.at_delay(measurement, own[speed])),
             )
         )
+    schedule = _schedule(controlled, own)
     if progress is not None:
         progress("robustness", count, count)
     if not confirm:
@@ -314,7 +190,7 @@ def analyse_robustness(
         bounds[s.speed_rpm] = bound * worst.ceiling if worst is not None and proved else bound
     plants = check_sampled_plants(
         [s.measurement for s in found],
-        feedforward,
+        controlled.believed,
         schedule,
         samples=samples,
         bounds=bounds,
@@ -329,7 +205,7 @@ def analyse_robustness(
     cases = [
         _Drive(
             s.measurement,
-            at_speed(feedforward, s.speed_rpm),
+            controlled.map_at(s.speed_rpm),
             schedule.at(s.speed_rpm),
             plant,
             seed,
@@ -348,11 +224,63 @@ def analyse_robustness(
         lti = check_lti(
             s.structured.loop, samples=LTI_SAMPLES, seed=seed, bound=bounds[s.speed_rpm]
         )
-        tight, why = by_speed.get(s.speed_rpm, (None, ""))
+        broke, why = by_speed.get(s.speed_rpm, (None, ""))
         confirmed.append(
-            replace(s, lti=lti, plants=plants.at(s.speed_rpm), tightness=tight, untested=why)
+            replace(
+                s,
+                lti=lti,
+                plants=plants.at(s.speed_rpm),
+                tightness=broke if isinstance(broke, TightnessCheck) else None,
+                gain_break=broke if isinstance(broke, GainBreak) else None,
+                untested=why,
+            )
         )
     return RobustAnalysis(tuple(confirmed), schedule, plants, seed)
+
+
+def _controlled(
+    maps: MeanValuePlant | ControllerDesign,
+    engine: Engine | None,
+    estimator: ChargeEstimator | None,
+    gains: GainSchedule | None,
+    adaptation: Adaptation | None,
+) -> tuple[CrankAnglePlant, AnalysedControl]:
+    """Nominal plant and controller; raises if their parts are of two kinds."""
+    if isinstance(maps, ControllerDesign):
+        if estimator is not None or gains is not None:
+            raise ParameterError(
+                "an estimator or gains are given beside a design, which has its own: give an "
+                "adaptation, or the maps of a window controller"
+            )
+        law = maps.controller.adaptation if adaptation is None else adaptation
+        plant = CrankAnglePlant(
+            maps.engine if engine is None else engine, runner=True, oscillation=True
+        )
+        return plant, DesignedControl(plant, maps, law)
+    if adaptation is not None:
+        raise ParameterError(
+            "an adaptation is given, but the window controller has its own: give gains, or a design"
+        )
+    engine = Engine.paper() if engine is None else engine
+    plant = CrankAnglePlant(engine, runner=True, oscillation=True)
+    return plant, WindowControl(
+        plant,
+        Feedforward(maps, valvetrain=engine.valvetrain),
+        ChargeEstimator() if estimator is None else estimator,
+        GainSchedule() if gains is None else gains,
+    )
+
+
+def _schedule(controlled: AnalysedControl, gains: dict[float, AdaptationGains]) -> GainSchedule:
+    """Gains over speed: the schedule that there is, or what was found at the speeds."""
+    if isinstance(controlled, WindowControl):
+        return controlled.schedule
+    speeds = sorted(gains)
+    return GainSchedule(
+        tuple(speeds),
+        tuple(gains[s].mean for s in speeds),
+        tuple(gains[s].imbalance for s in speeds),
+    )
 
 
 @dataclass(frozen=True)
@@ -360,15 +288,23 @@ class _Drive:
     """What a drive along the worst direction needs; small enough for another process."""
 
     measurement: UncertainMeasurement
-    feedforward: Feedforward
+    feedforward: Feedforward | ChargeModel
     gains: AdaptationGains
     plant: CrankAnglePlant
     seed: int
 
 
-def _drive(case: _Drive) -> tuple[TightnessCheck | None, str]:
-    """Drive the full plant along the worst direction, or tell why that is not possible."""
+def _drive(case: _Drive) -> tuple[TightnessCheck | GainBreak | None, str]:
+    """Drive the full plant to where it breaks, or tell why that is not possible.
+
+    The loop of a window breaks along the worst direction of its parameters. A designed one
+    hardly depends on them, and is broken by its gains.
+    """
     try:
+        if not isinstance(case.feedforward, Feedforward):
+            return check_gain_break(
+                case.measurement, case.feedforward, case.gains, plant=case.plant
+            ), ""
         found = check_tightness(
             case.measurement, case.feedforward, case.gains, plant=case.plant, seed=case.seed
         )

@@ -19,10 +19,13 @@ from plant._checks import positive, whole
 from plant.kinematics import FloatArray
 from uncertainty.sampling import Sample, corners, draw
 
-from ._closed_loop_runs import LoopCase, in_processes, sampled_cases, step_response
+from ._closed_loop_runs import step_response
+from ._loop_cases import Case, sampled_cases
 from ._lti_members import random_all_passes, sensitivity_peaks, spectral_radii
+from ._processes import in_processes
 from ._step_response import StepResponse
 from .adaptation import GainSchedule
+from .charge_model import ChargeModel
 from .feedforward import Feedforward
 from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop
 from .uncertain_measurement import UncertainMeasurement
@@ -108,7 +111,7 @@ class SampledPlantRun:
     stable : bool
         Whether every adapted mode decays and every held one stays.
     peak, bound : float
-        Largest ``|S|`` (NaN if unstable; too low if much is left), and the largest allowed.
+        Largest ``|S|`` (NaN if unstable), and the largest allowed.
     """
 
     speed_rpm: float
@@ -254,7 +257,7 @@ def check_lti(
 
 def check_sampled_plants(
     measurements: Sequence[UncertainMeasurement],
-    feedforward: Feedforward,
+    feedforward: Feedforward | ChargeModel,
     gains: GainSchedule | None = None,
     *,
     samples: int = 20,
@@ -277,8 +280,8 @@ def check_sampled_plants(
     ----------
     measurements : sequence of UncertainMeasurement
         Operating point, estimator and uncertainty of each speed.
-    feedforward : Feedforward
-        Map that the controller believes.
+    feedforward : Feedforward or ChargeModel
+        What the controller believes.
     gains : GainSchedule, optional
         Gains; the default ones if not given.
     samples : int
@@ -302,7 +305,7 @@ def check_sampled_plants(
     schedule = GainSchedule() if gains is None else gains
     whole("seed", seed, 0, 2**63 - 1)
     seeds = np.random.SeedSequence(seed).generate_state(max(len(measurements), 1))
-    cases: list[LoopCase] = []
+    cases: list[Case] = []
     drawn: list[tuple[UncertainMeasurement, Sample, int]] = []
     for m, own in zip(measurements, seeds, strict=True):
         sample = _corners(m) if at_corners else draw(m.uncertain, samples, int(own))

@@ -22,10 +22,12 @@ from plant.air_path import ComplexArray
 from plant.kinematics import FloatArray
 from uncertainty.sampling import Sample
 
-from ._closed_loop_runs import sampled_cases, step_response, widened
+from ._closed_loop_runs import step_response
+from ._loop_cases import sampled_cases, widened
 from ._lti_members import spectral_radii
 from ._step_response import adapted_growth, turns_of_fastest
 from .adaptation import AdaptationGains, GainSchedule
+from .charge_model import ChargeModel
 from .feedforward import Feedforward
 from .mu.blocks import BlockStructure, RealBlock
 from .mu.result import MuResult
@@ -158,7 +160,7 @@ class TightnessCheck:
 
 def check_tightness(
     measurement: UncertainMeasurement,
-    feedforward: Feedforward,
+    feedforward: Feedforward | ChargeModel,
     gains: AdaptationGains,
     *,
     target: float | None = 0.9,
@@ -173,8 +175,8 @@ def check_tightness(
     ----------
     measurement : UncertainMeasurement
         Operating point, estimator and uncertainty.
-    feedforward : Feedforward
-        Map that the controller believes.
+    feedforward : Feedforward or ChargeModel
+        What the controller believes.
     gains : AdaptationGains
         Gains per cycle; those of a loop in service leave so much margin that the parameters
         at the break would be absurd.
@@ -320,7 +322,7 @@ class _Walk:
         loop: UncertainLoop,
         direction: Mapping[str, float],
         plant: CrankAnglePlant,
-        feedforward: Feedforward,
+        feedforward: Feedforward | ChargeModel,
         gains: AdaptationGains,
         cycles: int,
     ) -> None:

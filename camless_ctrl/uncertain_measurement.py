@@ -23,19 +23,21 @@ from plant import CrankAnglePlant, ParameterError, PulseResponse
 from plant._checks import positive, whole
 from plant.air_path import ComplexArray
 from plant.kinematics import FloatArray
+from plant.sensors import MapSensor
 from uncertainty.coverage import FreshCheck, bound_from_scores, check_fresh, samples_needed
 from uncertainty.parameters import UncertainParameter, UncertaintySet
-from uncertainty.perturbed import PerturbedPlants
-from uncertainty.pulse_sampling import sampled_pulses
 from uncertainty.quantification import default_set
 from uncertainty.sampling import Sample, draw, nominal_sample, one_at_a_time
 from uncertainty.weight_result import OverboundingWeight
 from uncertainty.weights import fit_weight
 
-from ._sampled_estimates import TRIMMED, beyond_reach, estimate_response, trimmed_sample
+from ._sampled_estimates import TRIMMED, WindowLoops
+from ._sampled_loops import ModelLoops, SampledLoops
+from .controller import ChargeModel, Estimator
 from .estimator import ChargeEstimator
+from .estimator_response import LatentEstimator
 from .feedforward import Feedforward
-from .linearise import LocalResponse, local_response
+from .linearise import LocalResponse
 from .pulse_bank import PulseSum
 
 if TYPE_CHECKING:
@@ -60,8 +62,8 @@ class UncertainMeasurement:
         Nominal full plant at the operating point.
     demand : float
         Charge that the estimate of every plant meets at rest, kg.
-    estimator : ChargeEstimator
-        The estimator.
+    estimator : LatentEstimator
+        The estimator: `ChargeEstimator`, or an `AnalysedEstimator` of the controller's.
     uncertain : UncertaintySet
         What varies.
     nominal : PulseSum
@@ -75,13 +77,16 @@ class UncertainMeasurement:
     coverage : FreshCheck or None
         Share of the set that the description covers, claimed and checked.
     beyond_reach : int
-        Plants, of all that were followed, that meet the demand only with a duration beyond the
-        controller's. They are described as if the map went on with the slope of its end.
+        Plants, of all that were followed, that meet the demand only with a duration (or a flow
+        gain, for a charge model) beyond the controller's. They are described as if the map went
+        on with the slope of its end (or a charge factor explained the rest).
+    limits : str
+        Name of what they would need more of.
     """
 
     local: LocalResponse = field(repr=False)
     demand: float
-    estimator: ChargeEstimator
+    estimator: LatentEstimator
     uncertain: UncertaintySet = field(repr=False)
     nominal: PulseSum = field(repr=False)
     centre: PulseSum = field(repr=False)
@@ -89,6 +94,7 @@ class UncertainMeasurement:
     weight: OverboundingWeight = field(repr=False)
     coverage: FreshCheck | None = None
     beyond_reach: int = 0
+    limits: str = "duration"
 
     @property
     def speed_rpm(self) -> float:
@@ -170,7 +176,8 @@ class UncertainMeasurement:
         covered = "" if self.coverage is None else f" {self.coverage}"
         if self.beyond_reach:
             covered += (
-                f" {self.beyond_reach} of the plants would need a duration beyond the controller's."
+                f" {self.beyond_reach} of the plants would need a {self.limits} beyond the "
+                "controller's."
             )
         return (
             f"{self.speed_rpm:g} rpm, {1e6 * self.demand:.0f} mg: {len(self.directions)} real "
@@ -179,13 +186,45 @@ class UncertainMeasurement:
         )
 
 
+def sampled_loops(
+    plant: CrankAnglePlant,
+    feedforward: Feedforward | ChargeModel,
+    demand: float,
+    speed_rpm: float,
+    estimator: ChargeEstimator | Estimator | None = None,
+) -> SampledLoops:
+    """Return the loops of sampled plants that a controller of these parts has.
+
+    Parameters
+    ----------
+    plant, feedforward, demand, speed_rpm, estimator
+        As for `uncertain_measurement`.
+
+    Raises
+    ------
+    ParameterError
+        If map and estimator are not parts of one controller.
+    """
+    if isinstance(feedforward, Feedforward):
+        window = ChargeEstimator() if estimator is None else estimator
+        if isinstance(window, ChargeEstimator):
+            return WindowLoops(plant, feedforward, window, demand, speed_rpm)
+    elif estimator is not None and not isinstance(estimator, ChargeEstimator):
+        return ModelLoops(plant, feedforward, estimator, demand, speed_rpm)
+    raise ParameterError(
+        f"the map is a {type(feedforward).__name__} and the estimator a "
+        f"{type(estimator).__name__}, but a Feedforward goes with a ChargeEstimator, and a charge "
+        "model with an estimator that a controller can use: give both of one kind"
+    )
+
+
 def uncertain_measurement(
     plant: CrankAnglePlant,
-    feedforward: Feedforward,
+    feedforward: Feedforward | ChargeModel,
     demand: float,
     speed_rpm: float,
     *,
-    estimator: ChargeEstimator | None = None,
+    estimator: ChargeEstimator | Estimator | None = None,
     uncertain: UncertaintySet | None = None,
     modelled: tuple[str, ...] = MODELLED,
     share: float = 0.99,
@@ -201,14 +240,16 @@ def uncertain_measurement(
     ----------
     plant : CrankAnglePlant
         Nominal full plant; its cylinders are equal.
-    feedforward : Feedforward
-        Map that the controller believes.
+    feedforward : Feedforward or ChargeModel
+        What the controller believes.
     demand, speed_rpm : float
         Operating point: kg, rpm.
-    estimator : ChargeEstimator, optional
-        The estimator; the default one if not given.
+    estimator : ChargeEstimator or Estimator, optional
+        The estimator: for a `Feedforward` a `ChargeEstimator`, the default one if not given; for
+        a `ChargeModel` that of the controller, such as `KalmanEstimator`.
     uncertain : UncertaintySet, optional
-        What is uncertain; `uncertainty.default_set` by default.
+        What is uncertain; by default `uncertainty.default_set`, and for a charge model
+        `all_sensors_set`.
     modelled : tuple of str
         Parameters with a direction of their own.
     share, confidence : float
@@ -238,11 +279,12 @@ def uncertain_measurement(
     positive("demand", demand, "kg")
     whole("design", design, 2, 100_000)
     whole("fresh", fresh, 1, 10_000_000)
-    estimator = ChargeEstimator() if estimator is None else estimator
-    uncertain = default_set() if uncertain is None else uncertain
+    loops = sampled_loops(plant, feedforward, demand, speed_rpm, estimator)
+    if uncertain is None:
+        uncertain = default_set() if isinstance(loops, WindowLoops) else all_sensors_set()
     of_model = _modelled(uncertain, modelled)
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(3)]
-    local = local_response(plant, feedforward, demand, speed_rpm)
+    local = loops.local
     if abs(local.charge / demand - 1.0) > TRIMMED:
         raise ParameterError(
             f"demand is {1e6 * demand:.0f} mg, but the nominal plant takes in "
@@ -261,22 +303,15 @@ def uncertain_measurement(
 
     def follow(sample: Sample) -> list[PulseResponse]:
         nonlocal done, beyond
-        trimmed = trimmed_sample(plant, sample, local, demand, feedforward)
-        beyond += beyond_reach(trimmed, local, feedforward)
 
         def report(count: int, _: int) -> None:
             if progress is not None:
                 progress(done + count, total)
 
-        pulses = sampled_pulses(
-            PerturbedPlants(plant, trimmed),
-            local.command,
-            speed_rpm,
-            reference_charge=demand,
-            progress=report,
-        )
+        found, short = loops.follow(sample, report)
+        beyond += short
         done += len(sample)
-        return [estimate_response(pulses, i, estimator, feedforward) for i in range(len(pulses))]
+        return found
 
     found = follow(shaped)
     low, high = found[0 : 2 * len(modelled) : 2], found[1 : 2 * len(modelled) : 2]
@@ -312,7 +347,7 @@ def uncertain_measurement(
     return UncertainMeasurement(
         local=local,
         demand=float(demand),
-        estimator=estimator,
+        estimator=loops.estimator,
         uncertain=uncertain,
         nominal=PulseSum(((1.0, nominal),)),
         centre=centre,
@@ -320,7 +355,28 @@ def uncertain_measurement(
         weight=weight.scaled(factor),
         coverage=check_fresh(replace(bound, value=factor), scores[1]),
         beyond_reach=beyond,
+        limits=loops.limits,
     )
+
+
+def all_sensors_set() -> UncertaintySet:
+    """Return all that is uncertain of equal cylinders and of the MAF and the MAP sensor.
+
+    The lag of the MAP sensor is assumed to lie between half and twice its nominal value.
+    """
+    nominal = MapSensor().time_constant
+    lag = UncertainParameter(
+        "MAP time constant",
+        0.5 * nominal,
+        2.0 * nominal,
+        nominal,
+        ("map.time_constant",),
+        relative=False,
+        unit="s",
+        source="assumed sensor tolerance",
+    )
+    offset = UncertaintySet.sensors().only(["MAP offset"])
+    return default_set() + offset + UncertaintySet((lag,))
 
 
 def _modelled(uncertain: UncertaintySet, names: tuple[str, ...]) -> UncertaintySet:

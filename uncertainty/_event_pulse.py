@@ -39,8 +39,9 @@ class Pulse:
     charge : ndarray (k,)
         Change of the charge of event ``first`` and those after it, kg. An event's charge is
         that of the cylinder that opens in it.
-    flow : ndarray (events, samples)
-        Change of the throttle flow from the start of the changed event on, kg/s.
+    flow, pressure : ndarray (events, samples)
+        Change of the throttle flow (kg/s) and of the manifold pressure (Pa) from the start of
+        the changed event on.
     inflow : ndarray (events,)
         Change of the air through the throttle over each event, kg.
     left : float
@@ -50,6 +51,7 @@ class Pulse:
     first: int
     charge: FloatArray
     flow: FloatArray
+    pressure: FloatArray
     inflow: FloatArray
     left: float
 
@@ -110,10 +112,24 @@ class PeriodicOperation:
 
     def steady_flow(self) -> FloatArray:
         """Throttle flow of the cycle, (n, samples), kg/s."""
+        return self.steady_signals()[0]
+
+    def steady_signals(self, events: int | None = None) -> tuple[FloatArray, FloatArray]:
+        """Throttle flow (kg/s) and manifold pressure (Pa) of the cycle, each (events, samples).
+
+        Parameters
+        ----------
+        events : int, optional
+            Events from the first cylinder's on; a whole cycle by default.
+        """
         cylinders, manifold = self._start(0)
-        return np.array(
-            [self._advance(k, self._events[k], cylinders, manifold) for k in range(self.n)]
+        found = np.array(
+            [
+                self._advance(k, self._events[k], cylinders, manifold)
+                for k in range(self.n if events is None else events)
+            ]
         )
+        return found[:, 0], found[:, 1]
 
     def pulse(
         self,
@@ -139,7 +155,7 @@ class PeriodicOperation:
         runs = [self._start(j) for _ in own]
         latest = [-((j - c) % n) or -n for c in range(n)]  # each cylinder's last event
         charges = np.full((2, n + most_events), np.nan)  # from event -n on
-        flows: list[FloatArray] = []
+        signals: list[FloatArray] = []
         inflows: list[float] = []
         largest = left = 0.0
         least, at = np.inf, 0
@@ -147,15 +163,15 @@ class PeriodicOperation:
         for k in range(most_events):
             opening = (j + k) % n
             latest[opening] = k
-            flow, passed = np.empty((2, self._trace.shape[1])), np.empty(2)
+            seen, passed = np.empty((2, 2, self._trace.shape[1])), np.empty(2)
             for r, (cylinders, manifold) in enumerate(runs):
                 done, before = cylinders[:, layout.COMPLETED].copy(), manifold[layout.INFLOW]
                 event = own[r] if k == 0 else self._events[opening]
-                flow[r] = self._advance(opening, event, cylinders, manifold)
+                seen[r] = self._advance(opening, event, cylinders, manifold)
                 passed[r] = manifold[layout.INFLOW] - before
                 for c in np.flatnonzero(cylinders[:, layout.COMPLETED] > done):
                     charges[r, n + latest[c]] = cylinders[c, layout.CHARGE]
-            flows.append(0.5 * (flow[0] - flow[1]))
+            signals.append(0.5 * (seen[0] - seen[1]))
             inflows.append(0.5 * float(passed[0] - passed[1]))
             left = 0.5 * _difference(*runs)
             changes = 0.5 * (charges[0] - charges[1])
@@ -171,10 +187,12 @@ class PeriodicOperation:
                 end = at if stuck else k
                 changes = changes[: n + end + 1]
                 first, last = np.flatnonzero(~np.isnan(changes))[[0, -1]]
+                flow, pressure = np.array(signals[: end + 1]).swapaxes(0, 1)
                 return Pulse(
                     int(first) - n,
                     np.nan_to_num(changes[first : last + 1]),
-                    np.array(flows[: end + 1]),
+                    flow,
+                    pressure,
                     np.array(inflows[: end + 1]),
                     min(left, least) / largest if largest else 0.0,
                 )
@@ -209,7 +227,7 @@ class PeriodicOperation:
     def _advance(
         self, opening: int, event: layout.Event, cylinders: FloatArray, manifold: FloatArray
     ) -> FloatArray:
-        """Advance a state by a window, and return the throttle flow over it."""
+        """Advance a state by a window; return throttle flow and pressure in it, (2, samples)."""
         status = kernel.advance_window(
             self._plant._kernel_engine,
             self._window,
@@ -222,7 +240,7 @@ class PeriodicOperation:
             0,
         )
         check_status(status, self.cycle.speed_rpm)
-        return self._trace[layout.TRACE_THROTTLE].copy()
+        return self._trace[[layout.TRACE_THROTTLE, layout.TRACE_PRESSURE]]
 
 
 def _difference(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> float:

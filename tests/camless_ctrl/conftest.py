@@ -1,16 +1,20 @@
 import functools
 import itertools
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
 
+from camless_ctrl.charge_model import ChargeModel
+from camless_ctrl.controller_design import design_controller
 from camless_ctrl.estimator import ChargeEstimator
+from camless_ctrl.kalman_estimator import KalmanEstimator
 from camless_ctrl.linearise import LocalResponse
 from camless_ctrl.measurement_response import FlowShape, MeasurementResponse, event_time
+from camless_ctrl.optimal_path import OptimalPath
 from camless_ctrl.pulse_bank import PulseSum
 from camless_ctrl.uncertain_measurement import UncertainMeasurement
-from plant import CrankAnglePlant, ValveCommand
+from plant import CrankAnglePlant, Engine, MeanValuePlant, ValveCommand
 from plant.valve import shortest_duration
 from uncertainty.parameters import UncertaintySet
 from uncertainty.weights import fit_weight
@@ -103,3 +107,38 @@ def _measured(speed_rpm):
     return UncertainMeasurement(
         local, 250e-6, estimator, uncertain, centre, centre, directions, weight
     )
+
+
+class HighLiftPath:
+    """Highest lift, closed the later the more charge is wanted: early closing, unthrottled."""
+
+    positions = np.array([0.0, 1.0])
+    speeds_rpm = np.array([1450.0, 1550.0])
+
+    def at(self, position, speed_rpm, /):
+        q, speed = np.broadcast_arrays(position, speed_rpm)
+        shortest = 6.0 * speed * shortest_duration(8.0, Engine.paper().valvetrain) * (1.0 + 1e-8)
+        lift, duration = np.full(q.shape, 8.0), shortest * (1.0 - q) + 165.0 * q
+        return SimpleNamespace(lift_mm=lift, duration_deg=duration)
+
+
+@pytest.fixture(scope="session")
+def high_lift():
+    """Full plant, and a charge model of it around 1500 rpm on a path of the highest lift."""
+    plant = CrankAnglePlant(runner=True, oscillation=True)
+    model = ChargeModel.fit(HighLiftPath(), plant, speeds=5, positions=25)
+    return SimpleNamespace(
+        plant=plant, model=model, estimator=KalmanEstimator.of(plant.engine), speed_rpm=1500.0
+    )
+
+
+@pytest.fixture(scope="session")
+def narrow_design():
+    """Controller of the paper's engine, known from 1300 to 1700 rpm on coarse grids."""
+    plant = CrankAnglePlant(runner=True, oscillation=True)
+    maps = MeanValuePlant.fit(
+        plant, speed_range_rpm=(1300.0, 1700.0), tolerance=0.02, most_points=2000
+    )
+    path = OptimalPath.fit(maps, speeds_rpm=np.linspace(1300.0, 1700.0, 5), nodes=17)
+    model = ChargeModel.fit(path, plant, speeds=15, positions=41)
+    return design_controller(path=path, model=model)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plant import CrankAnglePlant, ParameterError, Trace, ValveCommand
-from plant._checks import in_range
+from plant._checks import in_range, whole
 from plant.kinematics import FloatArray
 from plant.sensors import AirSensor, SensorSet
 
@@ -86,8 +86,13 @@ def simulate(
         raise ParameterError(
             f"the controller is for {controller.n_cylinders} cylinders, but the engine has {n}"
         )
+    whole("seed", seed, 0, 2**63 - 1)
     demands = np.atleast_1d(np.asarray(demand, dtype=float))
     m = demands.size
+    if demands.ndim != 1 or not m:
+        raise ParameterError(
+            f"demand has shape {demands.shape}, but must hold one charge in kg for each event"
+        )
     speeds = _each("speed_rpm", np.asarray(speed_rpm, dtype=float), m)
     use = _each("active", np.asarray(active, dtype=bool), m)
     in_range("duration_jitter", valves.duration_jitter, 0.0, 0.01, "s")

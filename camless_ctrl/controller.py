@@ -27,8 +27,11 @@ from .cylinder_parameters import CylinderParameters, ParameterSet
 from .event_data import ChargeEstimate, ChargeEvidence, EventRecord, Measurement, ModelPoint
 
 _NOMINAL = CylinderParameters()
+_DENSITIES = (0.55, 1.25)  # 1, relative densities that are believed
 _PLAUSIBLE = 3.0  # estimated over predicted charge, or one over it, that is believed
-_KEPT = 6  # events that the controller remembers: estimates come within three
+_KEPT = 12  # events that the controller remembers: as many as the estimator
+_LONGEST_GAP = 2.0  # s from one IVO to the next; a later time is not believed
+_MOST_REFUSED = 8  # times in a row that are refused, after which the clock is believed again
 
 
 class ChargeModel(Protocol):
@@ -155,6 +158,7 @@ class ControllerState(NamedTuple):
     applied: float  # share of the learnt parameters that commands use, 1
     density: float  # of the intake air over the model's, as the pressure sensor shows it, 1
     held: int  # events for which nothing is learnt yet
+    refused: int  # times in a row that were not believed
     time: float  # s, IVO of the last event
     speed_rpm: float  # of the last event
 
@@ -165,7 +169,7 @@ class Diagnostics(NamedTuple):
     estimate: ChargeEstimate | None  # of an earlier event
     parameters: CylinderParameters  # with which this command was made
     predicted: float  # kg, charge that the model promises
-    limited: bool  # whether the demand is out of reach
+    limited: bool  # whether the demand is out of reach, or a limit acts on the command
     rate_limited: bool  # whether the command could not change fast enough
     projected: bool  # whether a parameter was held at its bound
     adapted: bool  # whether anything was learnt
@@ -207,6 +211,8 @@ class AirChargeController:
         Noise of a measured duration, 1 sigma, s.
     duration_jitter : float
         Random part of a delivered duration, 1 sigma, s.
+    most_duration_error : float
+        Measured less commanded duration, s, beyond which a measurement is none.
     ambient_pressure : float
         Ambient pressure of the charge model, Pa.
     density_gain : float
@@ -229,6 +235,7 @@ class AirChargeController:
     limits: CommandLimits = field(default_factory=CommandLimits)
     duration_noise: float = 0.05e-3
     duration_jitter: float = 0.05e-3
+    most_duration_error: float = 1e-3
     ambient_pressure: float = 1e5
     density_gain: float = 0.1
     speed_range_rpm: tuple[float, float] = (100.0, 10_000.0)
@@ -240,6 +247,7 @@ class AirChargeController:
         whole("n_cylinders", self.n_cylinders, 1, 24)
         in_range("duration_noise", self.duration_noise, 0.0, 0.01, "s")
         in_range("duration_jitter", self.duration_jitter, 0.0, 0.01, "s")
+        positive("most_duration_error", self.most_duration_error, "s")
         positive("ambient_pressure", self.ambient_pressure, "Pa")
         in_range("density_gain", self.density_gain, 0.0, 1.0, "1")
         positive("speed_range_rpm[0]", self.speed_range_rpm[0], "rpm")
@@ -277,7 +285,8 @@ class AirChargeController:
             (),
             (None,) * self.n_cylinders,
             1.0,
-            positive("density", density, "1"),
+            in_range("density", density, *_DENSITIES, "1"),
+            0,
             0,
             -math.inf,
             math.nan,
@@ -298,8 +307,14 @@ class AirChargeController:
         Raises
         ------
         ParameterError
-            If the data are of another number of cylinders or of another law.
+            If the data are incomplete, or of another number of cylinders or another law.
         """
+        missing = [name for name in ("density", "adaptation") if name not in data]
+        if missing or not isinstance(data["adaptation"], Mapping):
+            raise ParameterError(
+                f"the exported state lacks {' and '.join(missing) or 'what was learnt'}: make it "
+                "with export_state"
+            )
         own = {"n_cylinders": self.n_cylinders, "law": type(self.adaptation).__name__}
         for name, value in own.items():
             if data.get(name) != value:
@@ -307,8 +322,14 @@ class AirChargeController:
                     f"the exported state has {name} {data.get(name)!r}, but this controller has "
                     f"{value!r}: import it into a controller of the same kind"
                 )
-        fresh = self.initial_state(density=float(data["density"]))
-        return fresh._replace(adaptation=self.adaptation.from_dict(data["adaptation"]))
+        fresh = self.initial_state(density=data["density"])
+        learnt = self.adaptation.from_dict(data["adaptation"])
+        if learnt.parameters.n_cylinders != self.n_cylinders:
+            raise ParameterError(
+                f"the exported parameters are of {learnt.parameters.n_cylinders} cylinders, but "
+                f"this controller has {self.n_cylinders}: import it into one of the same kind"
+            )
+        return fresh._replace(adaptation=learnt)
 
     # -- one event ---------------------------------------------------------------------------
 
@@ -327,9 +348,9 @@ class AirChargeController:
         state : ControllerState
             State before; not changed.
         measurement : Measurement
-            What is known shortly before this IVO. Whatever it holds, nothing is raised: time
-            and speed that are not usable are replaced by the last ones, samples are the
-            estimator's to judge.
+            What is known shortly before this IVO; samples are 1-D arrays of floats. Whatever
+            numbers it holds, nothing is raised: a time or speed that cannot be is replaced by
+            the last one, samples are the estimator's to judge.
         demand : float
             Demanded charge of the event, kg.
         active : bool
@@ -345,11 +366,14 @@ class AirChargeController:
             positive("demand", demand, "kg")  # says what is wrong
         n, k = self.n_cylinders, state.event_index
         cylinder = k % n + 1
-        measurement = self._usable(state, measurement)
+        measurement, refused = self._usable(state, measurement)
         speed = measurement.speed_rpm
 
         pending = _with_durations(state.pending, measurement.durations)
-        found = self.estimator.update(state.estimator, measurement)
+        estimator = state.estimator
+        if state.refused >= _MOST_REFUSED and not refused:
+            estimator = self.estimator.start()  # the clock has been set: what came before is void
+        found = self.estimator.update(estimator, measurement)
         held = self.hold_events if found.rejected else max(state.held - 1, 0)
         adaptation, projected, adapted = state.adaptation, False, False
         final = found.final
@@ -382,6 +406,7 @@ class AirChargeController:
             applied,
             density,
             held,
+            refused,
             measurement.time,
             speed,
         )
@@ -389,7 +414,7 @@ class AirChargeController:
             final,
             used,
             point.charge,
-            point.limited,
+            point.limited or not exact,
             share < 1.0,
             projected,
             adapted,
@@ -398,18 +423,22 @@ class AirChargeController:
         )
         return ControlStep(after, lift, duration_deg, diagnostics)
 
-    def _usable(self, state: ControllerState, measurement: Measurement) -> Measurement:
-        """Return the measurement with a usable time and speed."""
+    def _usable(self, state: ControllerState, measurement: Measurement) -> tuple[Measurement, int]:
+        """Measurement with a usable time and speed, and how many times were refused in a row."""
         speed, time = measurement.speed_rpm, measurement.time
         low, high = self.speed_range_rpm
         if not low <= speed <= high:
             speed = state.speed_rpm if math.isfinite(state.speed_rpm) else max(low, 1000.0)
-        if not (math.isfinite(time) and time > state.time):
+        refused = 0
+        if not state.time < time <= state.time + _LONGEST_GAP and (
+            not math.isfinite(time) or (math.isfinite(state.time) and state.refused < _MOST_REFUSED)
+        ):
+            refused = state.refused + 1
             last = state.time if math.isfinite(state.time) else 0.0
             time = last + event_time(speed, self.n_cylinders)
         if speed is measurement.speed_rpm and time is measurement.time:
-            return measurement
-        return replace(measurement, speed_rpm=speed, time=time)
+            return measurement, refused
+        return replace(measurement, speed_rpm=speed, time=time), refused
 
     def _evidence(
         self, pending: tuple[PendingEvent, ...], estimate: ChargeEstimate
@@ -421,7 +450,7 @@ class AirChargeController:
         what is left of charge and duration then have independent errors.
         """
         of, _, charge, variance, *_ = estimate
-        for record, exact in pending:  # noqa: B007 - used after the loop
+        for record, exact in reversed(pending):  # noqa: B007 - used after the loop
             if record[0] == of:
                 break
         else:
@@ -434,7 +463,9 @@ class AirChargeController:
         error = measured - point.duration_deg / (6.0 * speed)
         jitter, noise = self.duration_jitter**2, self.duration_noise**2
         log_ratio, w = math.log(ratio), 0.0
-        if math.isfinite(error) and jitter + noise > 0.0:
+        if not abs(error) <= self.most_duration_error:
+            error = math.nan  # not measured, or by a sensor that has failed
+        elif jitter + noise > 0.0:
             w = jitter / (jitter + noise)
             log_ratio -= slope * w * (error - used.duration_offset)
         return ChargeEvidence(
@@ -449,10 +480,14 @@ class AirChargeController:
         )
 
     def _density(self, density: float, ambient_pressure: float) -> float:
-        """Density after one event, from the ambient pressure that the estimator sees."""
+        """Density after one event, from the ambient pressure that the estimator sees.
+
+        It follows within `_DENSITIES` only, those of the charge model.
+        """
         if not math.isfinite(ambient_pressure) or self.density_gain == 0.0:
             return density
-        wanted = min(max(ambient_pressure / self.ambient_pressure, 0.4), 1.4)
+        low, high = _DENSITIES
+        wanted = min(max(ambient_pressure / self.ambient_pressure, low), high)
         return density + self.density_gain * (wanted - density)
 
 

@@ -109,8 +109,8 @@ def performance_cases(
     base = Engine.paper() if engine is None else engine
     mg = _milligram(base)
     n = base.n_cylinders
-    weak = base.replace(cylinder_flow_factors=_each(WEAK_CYLINDER, n))
-    late = _each(LATE_VALVE, n)
+    weak = base.replace(cylinder_flow_factors=each_of(WEAK_CYLINDER, n))
+    late = each_of(LATE_VALVE, n)
 
     def steady(demand: float, cycles: int) -> FloatArray:
         return np.full(cycles * n, demand * mg)
@@ -156,7 +156,7 @@ def performance_cases(
             weak,
             step,
             1500.0,
-            Bar("first commanded event", 2.0, _first_events, single=True),
+            Bar("first commanded event of every cylinder", 2.0, _first_events, single=True),
             Bar("every cylinder after 3 cycles", 0.5, _settled_error(3, skip=1)),
         ),
         case(
@@ -164,7 +164,7 @@ def performance_cases(
             weak,
             step,
             1500.0,
-            Bar("first commanded event", 2.0, _first_events),
+            Bar("first commanded event of every cylinder", 2.0, _first_events),
             jitter=0.0,
         ),
         case(
@@ -239,7 +239,7 @@ def _ambient_charge(engine: Engine) -> float:
     )
 
 
-def _each(four: tuple[float, ...], n: int) -> tuple[float, ...]:
+def each_of(four: tuple[float, ...], n: int) -> tuple[float, ...]:
     """Four values, repeated for n cylinders."""
     return tuple(four[i % len(four)] for i in range(n))
 
@@ -281,10 +281,8 @@ def _averages(run: ClosedLoopResult, first: int) -> FloatArray:
 
 
 def _first_events(run: ClosedLoopResult) -> float:
-    """Largest error of the first event after a change of demand."""
-    n = run.n_cylinders
-    errors = [run.charge[p.start * n] / run.demand[p.start * n] - 1.0 for p in run.segments[1:]]
-    return float(np.max(np.abs(errors)))
+    """Largest error of a cylinder's first event after a change of demand."""
+    return float(np.max(np.abs([run.relative_error[p.start] for p in run.segments[1:]])))
 
 
 def _loss_excess(reference: LossReference) -> Figure:

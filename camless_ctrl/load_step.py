@@ -5,19 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from plant import CrankAnglePlant, Engine
+from plant._checks import whole
 from plant.sensors import SensorSet
 
 from .closed_loop import ValveErrors, simulate
 from .closed_loop_result import ClosedLoopResult
 from .controller import AirChargeController
-from .controller_cases import JITTER, WEAK_CYLINDER
+from .controller_cases import JITTER, WEAK_CYLINDER, each_of
 
 
 def run_load_step(
     controller: AirChargeController,
     *,
     engine: Engine | None = None,
-    flow_factors: tuple[float, ...] = WEAK_CYLINDER,
+    flow_factors: tuple[float, ...] | None = None,
     speed_rpm: float = 1500.0,
     demand_mg: tuple[float, ...] = (170.0, 400.0, 170.0),
     cycles: int = 40,
@@ -33,8 +34,9 @@ def run_load_step(
         The controller. It starts unadapted, with the first demand.
     engine : Engine, optional
         The engine; the paper's by default.
-    flow_factors : tuple of float
-        True over nominal flow coefficient of each cylinder.
+    flow_factors : tuple of float, optional
+        True over nominal flow coefficient of each cylinder; `WEAK_CYLINDER`, repeated, by
+        default.
     speed_rpm : float
         Engine speed.
     demand_mg : tuple of float
@@ -49,6 +51,9 @@ def run_load_step(
         Seed of noise and jitter.
     """
     base = Engine.paper() if engine is None else engine
+    if flow_factors is None:
+        flow_factors = each_of(WEAK_CYLINDER, base.n_cylinders)
+    whole("cycles", cycles, 1, 100_000)
     plant = CrankAnglePlant(
         base.replace(cylinder_flow_factors=flow_factors), runner=True, oscillation=True
     )

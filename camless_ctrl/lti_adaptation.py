@@ -110,6 +110,11 @@ class LtiAdaptation:
         systems = sorted(((law.measurement.speed_rpm, law.system) for law in laws), key=_speed)
         return cls(tuple(systems), latencies.pop(), bounds or ParameterBounds())
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how a copy is made: a `control.StateSpace` cannot be pickled itself."""
+        laws = tuple((speed, (s.A, s.B, s.C, s.D, s.dt)) for speed, s in self.systems)
+        return _unpacked, (laws, self.latency, self.bounds)
+
     def replace(self, **changes: object) -> LtiAdaptation:
         """Return a copy with the given fields changed."""
         return replace_fields(self, changes)
@@ -177,6 +182,16 @@ class LtiAdaptation:
             return 0
         away = [abs(speed - speed_rpm) for speed, _ in self.systems]
         return away.index(min(away)) if speed_rpm == speed_rpm else max(node, 0)
+
+
+def _unpacked(
+    laws: tuple[tuple[float, tuple[Any, ...]], ...], latency: int, bounds: ParameterBounds
+) -> LtiAdaptation:
+    """Return the adaptation of laws as matrices."""
+    import control
+
+    systems = tuple((speed, control.ss(*matrices)) for speed, matrices in laws)
+    return LtiAdaptation(systems, latency, bounds)
 
 
 def _node(system: control.StateSpace) -> _Node:

@@ -6,6 +6,7 @@ import math
 
 from ..requirements import Requirement, RequirementResult
 from .comparison import Comparison
+from .controller_timing import ControllerTiming
 from .kernel_timing import KernelFigures, KernelSurvey
 from .points import CHARGE_BAR, LOSS_BAR
 from .scaling import ThreadScaling
@@ -45,6 +46,10 @@ FIRST_CYCLE = Requirement(
     "first-cycle", 0.5, "s", "at most", _SOURCE,
     "Time from there to the first cycle, with machine code on disk",
 )  # fmt: skip
+UPDATE = Requirement(
+    "controller-update", 50.0, "us", "at most", "goal of the controller",
+    "Median time of one update of the air-charge controller in Python",
+)  # fmt: skip
 
 
 def judge(
@@ -53,6 +58,7 @@ def judge(
     comparison: Comparison,
     threads: ThreadScaling,
     startup: Startup,
+    controller: ControllerTiming,
 ) -> tuple[RequirementResult, ...]:
     """Hold what was measured against the goals."""
     slowest = max(nominal, key=lambda f: f.us_per_cycle)
@@ -68,6 +74,7 @@ def judge(
         RequirementResult(THREADS, threads.efficiency, f"{threads.cores} cores"),
         RequirementResult(IMPORT, startup.import_s),
         RequirementResult(FIRST_CYCLE, startup.first_cycle_s),
+        RequirementResult(UPDATE, controller.step_us, str(controller)),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from ..assessment import as_dict
 from ..requirements import RequirementResult
 from .comparison import Comparison, PeerFigures
+from .controller_timing import ControllerTiming
 from .floor import STAGES
 from .kernel_timing import KernelFigures, KernelSurvey
 from .points import BenchPoint
@@ -66,6 +67,8 @@ class BenchResult:
         Cost of maps.
     startup : Startup
         What a second process waits for.
+    controller : ControllerTiming
+        One update of the air-charge controller.
     goals : tuple of RequirementResult
         The goals, met or missed.
     """
@@ -80,6 +83,7 @@ class BenchResult:
     points: PointScaling
     cylinders: CylinderScaling
     startup: Startup
+    controller: ControllerTiming
     goals: tuple[RequirementResult, ...]
 
     @property
@@ -155,6 +159,12 @@ class BenchResult:
                 "points": self.threads.points,
                 "points_per_second": self.threads.points_per_second,
                 "cores": self.threads.cores,
+            },
+            "controller": {
+                "step_us": self.controller.step_us,
+                "estimator_us": self.controller.estimator_us,
+                "model_us": self.controller.model_us,
+                "law_us": self.controller.law_us,
             },
             "startup": {
                 "import_s": self.startup.import_s,
@@ -268,6 +278,10 @@ class BenchResult:
             (f"parallel efficiency ({t.cores} cores)", f"{t.efficiency:.2f}"),
             ("import plant, second process", f"{self.startup.import_s:.2f} s"),
             ("first cycle after that", f"{self.startup.first_cycle_s:.2f} s"),
+            ("controller update", f"{self.controller.step_us:.1f} us"),
+            ("of that, estimator", f"{self.controller.estimator_us:.1f} us"),
+            ("of that, charge model", f"{self.controller.model_us:.1f} us"),
+            ("of that, adaptation law", f"{self.controller.law_us:.1f} us"),
         ]
         rows += [
             (f"map of {size} points", f"{seconds:.3f} s, {1e6 * seconds / size:.0f} us a point")

@@ -9,6 +9,7 @@ from plant._checks import whole
 
 from ._scipy_peers import ScipySolveIvp
 from .comparison import compare
+from .controller_timing import measure_controller
 from .floor import stage_time_ns
 from .goals import judge
 from .kernel_timing import survey_kernel, time_call, time_kernel
@@ -98,6 +99,8 @@ def run_bench(
     scaling = measure_points(options.batch_points, say)
     say("cylinders", 0, 1)
     cylinders = measure_cylinders(options.repeats)
+    say("controller", 0, 1)
+    controller = measure_controller(options.repeats)
     return BenchResult(
         nominal,
         call_us,
@@ -109,7 +112,8 @@ def run_bench(
         scaling,
         cylinders,
         startup,
-        judge(nominal, survey, comparison, threads, startup),
+        controller,
+        judge(nominal, survey, comparison, threads, startup, controller),
     )
 
 

@@ -152,7 +152,7 @@ def _load_step(
 
 def _bars(seed: int, seeds: int, json: Path | None, quiet: bool) -> int:
     from ..assessment import assess_performance
-    from ..baselines import ADAPTIVE, baseline_controllers
+    from ..baselines import ADAPTIVE, LTI, baseline_controllers, lti_controller
     from ..controller_design import design_controller
     from ..jsonable import to_json
     from ..output import reserved_file
@@ -161,7 +161,8 @@ def _bars(seed: int, seeds: int, json: Path | None, quiet: bool) -> int:
     with reserved_file(json) as file:
         with bar("maps", quiet) as progress:
             design = design_controller(progress=progress)
-            controllers = baseline_controllers(design, progress=progress)
+            controllers = baseline_controllers(design)
+            controllers[LTI] = lti_controller(design, seed=seed, progress=progress)
             table = measure_performance(
                 controllers,
                 design,

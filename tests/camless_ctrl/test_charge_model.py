@@ -5,6 +5,7 @@ import pytest
 
 from camless_ctrl.charge_model import ChargeModel
 from camless_ctrl.cylinder_parameters import CylinderParameters
+from camless_ctrl.inflow_shares import inflow_shares
 from plant import CrankAnglePlant, Engine, ParameterError, ValveCommand, Valvetrain
 from plant.valve import shortest_duration
 
@@ -177,6 +178,22 @@ def test_shares_are_those_of_the_inflow(model, plant):
     steps = np.diff(trace.time) * 0.5 * (flow[1:] + flow[:-1])
     halves = steps[: 4 * 360].reshape(4, 360).sum(axis=1) / cycle.air_charge[0]
     assert point.shares.reshape(4, 8).sum(axis=1) == pytest.approx(halves, abs=5e-3)
+
+
+@pytest.mark.parametrize("gain", [0.85, 1.1])
+def test_weak_valve_fills_its_cylinder_in_another_rhythm(models, plant, gain):
+    model, speed = models[1], 3000.0
+    known = CylinderParameters(flow_gain=gain)
+    point = model.inverse(2.5e-4, speed, known)
+    scaled = plant.with_engine(
+        plant.engine.replace(flow_coefficient=gain * plant.engine.flow_coefficient)
+    )
+    truth = inflow_shares(scaled, ValveCommand(point.lift_mm, point.duration_deg), speed)
+    nominal = inflow_shares(plant, ValveCommand(point.lift_mm, point.duration_deg), speed)
+    left = np.abs(np.cumsum(point.shares - truth)).max()
+    assert left < 0.3 * np.abs(np.cumsum(nominal - truth)).max()
+    assert left < 3e-3
+    assert point.shares.sum() == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.0, 1.3])

@@ -165,6 +165,78 @@ def test_measured_duration_tells_jitter_from_flow(linear_map):
     assert math.log(factors(state)[0]) == pytest.approx(0.5 * error, rel=1e-6)
 
 
+def test_a_duration_that_cannot_be_is_no_measurement(linear_map):
+    controller = controller_of(linear_map, duration_jitter=1e-4, duration_noise=1e-4)
+    for duration in (0.0, 0.02, math.nan):
+        state = controller.initial_state()
+        for k in range(4):
+            told = [(0, duration)] if k == 1 else []
+            step = controller.step(state, constant_flow(k, 2.02e-4, told), 2e-4)
+            state = step.state
+            if step.diagnostics.estimate:
+                break
+        # as if no duration had been measured: gain 0.5 of the whole error
+        assert math.log(factors(state)[0]) == pytest.approx(0.5 * math.log(1.01), rel=1e-6)
+
+
+def shifted(k, charge, by):
+    told = constant_flow(k, charge)
+    return Measurement(told.time + by, 1500.0, told.sample_time + by, told.sample_flow)
+
+
+def test_one_wrong_time_is_passed_over(controller):
+    state = drive(controller, 8, charge=2e-4, demand=2e-4)[-1].state
+    odd = constant_flow(8, 2e-4)
+    state = controller.step(
+        state, Measurement(1e9, 1500.0, odd.sample_time, odd.sample_flow), 2e-4
+    ).state
+    assert state.time == pytest.approx(8 * T)
+    steps = drive(controller, 4, charge=1.9e-4, demand=2e-4, state=state, first=9)
+    assert all(s.diagnostics.adapted for s in steps[1:])
+
+
+@pytest.mark.parametrize("by", [1e4, -0.1])
+def test_a_clock_that_was_set_is_followed_after_some_events(controller, by):
+    state = drive(controller, 8, charge=2e-4, demand=2e-4)[-1].state
+    adapted = []
+    for k in range(8, 30):
+        step = controller.step(state, shifted(k, 1.9e-4, by), 2e-4)
+        state = step.state
+        adapted.append(step.diagnostics.adapted)
+    assert all(adapted[-8:])
+    assert state.time == pytest.approx(29 * T + by)
+
+
+def test_a_limit_that_acts_is_told_and_not_learnt_from(linear_map):
+    limits = CommandLimits(lift_mm=(0.5, 2.0))  # below the 3 mm of the schedule
+    steps = drive(controller_of(linear_map, limits=limits), 8, charge=1.5e-4, demand=2e-4)
+    assert all(s.diagnostics.limited for s in steps)
+    assert not any(s.diagnostics.adapted for s in steps)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"adaptation": None}, "lacks what was learnt"),
+        ({"density": 50.0}, "density is 50"),
+        ({"n_cylinders": 3}, "n_cylinders 3"),
+        ({"law": "Other"}, "law 'Other'"),
+    ],
+)
+def test_exported_state_is_checked(controller, change, message):
+    data = {**controller.export_state(controller.initial_state()), **change}
+    with pytest.raises(ParameterError, match=message):
+        controller.import_state(data)
+    short = controller.export_state(controller.initial_state())
+    for values in short["adaptation"].values():
+        if isinstance(values, list):
+            values.pop()
+    with pytest.raises(ParameterError, match="parameters are of 3 cylinders"):
+        controller.import_state(short)
+    with pytest.raises(ParameterError, match="lacks density and adaptation"):
+        controller.import_state({"n_cylinders": 4, "law": "IntegralAdaptation"})
+
+
 def test_density_follows_the_ambient_pressure_that_is_seen(linear_map):
     class Thin:
         """Estimator that sees 0.8 bar and nothing else."""

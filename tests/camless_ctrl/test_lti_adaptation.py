@@ -1,5 +1,6 @@
 import json
 import math
+import pickle
 from types import SimpleNamespace
 
 import control
@@ -175,3 +176,13 @@ def test_state_of_another_law_is_refused():
     for change in ({"x": [0.0]}, {"node": 3}, {"x": [math.nan] * 4}, {"law": "Kalman"}):
         with pytest.raises(ParameterError):
             law.from_dict({**data, **change})
+
+
+def test_a_copy_has_the_same_laws():
+    law = LtiAdaptation(((1500.0, system_of()), (3000.0, system_of(AdaptationGains(0.2, 0.1)))))
+    copy = pickle.loads(pickle.dumps(law))
+    assert copy.latency == law.latency
+    for (speed, system), (other, copied) in zip(law.systems, copy.systems, strict=True):
+        assert speed == other
+        for name in "ABCD":
+            np.testing.assert_array_equal(getattr(system, name), getattr(copied, name))

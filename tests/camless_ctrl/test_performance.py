@@ -49,8 +49,8 @@ def test_step_figures_by_hand():
     demand = np.concatenate([np.full(20, 1.7e-4), np.full(40, 4e-4), np.full(40, 1.7e-4)])
     error = np.zeros((cycles, 4))
     error[0] = 0.4  # before the first change: adaptation
-    error[20, 0], error[60, 0] = 0.015, -0.018  # the first events
-    error[20, 1] = 0.3  # another event
+    error[20, 0], error[60, 2] = 0.015, -0.018  # among the first events
+    error[21, 1] = 0.3  # another event
     error[23 : 23 + AVERAGED, 3] = 0.004
     run = run_of(demand[:, None] * (1.0 + error), demand)
     first, settled = (bar.figure(run) for bar in case_of("demand step").bars)

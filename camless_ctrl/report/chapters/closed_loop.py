@@ -226,7 +226,7 @@ def _cylinders(adaptive: ClosedLoopResult, alone: ClosedLoopResult) -> Table:
         [
             [
                 i + 1,
-                WEAK_CYLINDER[i],
+                WEAK_CYLINDER[i % len(WEAK_CYLINDER)],
                 100.0 * float(last[0][i]),
                 100.0 * float(last[1][i]),
                 float(adaptive.flow_gain[-n:][i]),

@@ -77,6 +77,15 @@ class FeedforwardChapter:
                     longest=Number(options.longest_duration_deg, "°"),
                 ),
                 Text("{path}.", path=str(path)),
+                Text(
+                    "Where two optima change places at light load, a path without jumps must "
+                    "cross the ridge between them: {over:.0f} of {nodes:.0f} nodes give up more "
+                    "than 1 % of loss, {most:.1f} at most. Points in that strip can miss the bar "
+                    "of the check below.",
+                    over=Number(int((path.certificates.given_up > 0.01).sum())),
+                    nodes=Number(path.certificates.given_up.size),
+                    most=Number(100.0 * float(path.certificates.given_up.max()), "%"),
+                ),
                 Figure(
                     "optimal-lift",
                     Text(

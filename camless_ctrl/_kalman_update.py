@@ -1,4 +1,4 @@
-"""Arithmetic of the Kalman adaptation: covariances, one update, renewal of doubt, projection.
+"""Arithmetic of the Kalman adaptation: covariances, one update, renewal of doubt.
 
 Private to `kalman_adaptation`. This project's own design.
 """
@@ -16,41 +16,64 @@ from numpy.typing import ArrayLike
 from plant.errors import ParameterError
 from plant.kinematics import FloatArray
 
-from .adaptation_laws import AdaptationState
-
-_GUESSES = 20  # of the bounds that hold a projection
-_CHANGES = 200  # of the bounds, one by one
+from .adaptation_laws import AdaptationState, ParameterBounds
 
 
 class KalmanMemory(NamedTuple):
     """What the filter remembers beside its parameters; arrays are read-only."""
 
-    x: FloatArray  # (2n,) state of the filter: ln g (1) of all cylinders, then d (s)
-    covariance: FloatArray  # (2n, 2n) of it
-    information: tuple[float, ...]  # (2n,) on each parameter in the recent memory, 1 and 1/s2
+    x: FloatArray  # (m,) state: ln g (1) of all cylinders, d (s) of all, c (1) if it is learnt
+    covariance: FloatArray  # (m, m) of it
+    information: tuple[float, ...]  # (m,) on each parameter in the recent memory, 1 and 1/s2
     scores: tuple[float, ...]  # (2n + 1,) faded sums: charge, duration a cylinder; all events
 
 
 class Workspace(NamedTuple):
-    """What an engine of n cylinders needs; filters and arrays are scratch, set at each use."""
+    """What an engine of n cylinders needs, with m states as in `KalmanMemory`."""
 
-    prior: FloatArray  # (2n, 2n)
-    walk: FloatArray  # (2n, 2n), of one event
-    common: FloatArray  # (2n, 2n), what of the prior all cylinders share
-    variances: tuple[float, float]  # of the prior, of ln g (1) and d (s2)
+    prior: FloatArray  # (m, m)
+    walk: FloatArray  # (m, m), of one event
+    walks: tuple[float, float, float]  # its variances: ln g (1), d (s2), c (1; 0 if no state)
+    still: FloatArray  # (m, m), no walk
+    common: FloatArray  # (m, m), what of the prior all cylinders share
+    variances: tuple[float, float, float]  # of the prior: ln g (1), d (s2), c (1; 0 if no state)
     factor: float  # of exponential forgetting, on the covariance per event
+    bounds: tuple[float, float, float, float]  # of ln g (1), of d (s)
+    kept: tuple[float, float]  # share of information left after a cycle, after an event
 
 
-def workspace(prior: FloatArray, walk: FloatArray, common: FloatArray, factor: float) -> Workspace:
-    """Return the workspace for covariances (2n, 2n) of prior, walk, and common part."""
-    return Workspace(prior, walk, common, (float(prior[0, 0]), float(prior[-1, -1])), factor)
+def workspace(
+    n: int,
+    prior: FloatArray,
+    walk: FloatArray,
+    common: FloatArray,
+    factor: float,
+    memory_cycles: float,
+    bounds: ParameterBounds,
+) -> Workspace:
+    """Return the workspace of n cylinders for covariances (m, m) of prior, walk, common part."""
+    walks, variances = (
+        (float(P[0, 0]), float(P[n, n]), float(P[2 * n :, -1].sum())) for P in (walk, prior)
+    )
+    limits = *bounds.log_flow_gain, *bounds.duration_offset
+    kept = 1.0 - 1.0 / memory_cycles, 1.0 - 1.0 / (n * memory_cycles)
+    return Workspace(
+        prior, walk, walks, np.zeros_like(walk), common, variances, factor, limits, kept
+    )
 
 
-def structured(n: int, flow: tuple[float, float], offset: tuple[float, float]) -> FloatArray:
-    """Covariance of standard deviations (own, common) of flow gains, then of offsets."""
-    P = np.zeros((2 * n, 2 * n))
+def structured(
+    n: int, flow: tuple[float, float], offset: tuple[float, float], charge: float, learnt: bool
+) -> FloatArray:
+    """Covariance of standard deviations (own, common) of flow gains, of offsets, and of c.
+
+    Where c is not learnt, it is no state.
+    """
+    P = np.zeros((2 * n + learnt, 2 * n + learnt))
     for block, (own, common) in ((slice(0, n), flow), (slice(n, 2 * n), offset)):
         P[block, block] = own**2 * np.eye(n) + common**2
+    if learnt:
+        P[-1, -1] = charge**2
     return P
 
 
@@ -70,34 +93,6 @@ def limited(P: FloatArray, prior: FloatArray) -> FloatArray:
     return P * scale[:, None] * scale
 
 
-def updated(
-    x: FloatArray,
-    P: FloatArray,
-    at: tuple[int, int],
-    charge: tuple[float, float, float, float] | None,
-    duration: tuple[float, float] | None,
-) -> tuple[FloatArray, FloatArray]:
-    """State and covariance after measurements that depend on the two states `at` alone.
-
-    Parameters
-    ----------
-    x, P : ndarray (2n,), (2n, 2n)
-        State and covariance before.
-    at : (int, int)
-        Places of ln g and d of the cylinder.
-    charge : tuple of float or None
-        Slopes over ln g and d, innovation, variance of the noise.
-    duration : tuple of float or None
-        Innovation (s) and variance of the noise (s2).
-    """
-    s_g, s_d, error, noise = charge or (0.0, 0.0, 0.0, 1.0)
-    late, noise_d = duration or (0.0, 1.0)
-    found: tuple[FloatArray, FloatArray] = _kernel().update(
-        x, P, *at, charge is not None, s_g, s_d, error, noise, duration is not None, late, noise_d
-    )
-    return found
-
-
 def share_of_doubt(innovation: float, variance: float, prior: float) -> float:
     """Share of the way to the prior variance at which an innovation has its own size."""
     if not prior > variance:
@@ -115,55 +110,6 @@ def renewed(P: FloatArray, at: tuple[int, int], share: float, prior: FloatArray)
     return P
 
 
-def project_onto_box(
-    x: FloatArray, P: FloatArray, low: list[float], high: list[float]
-) -> list[float]:
-    """Return the point of a box that is nearest to `x` in the norm of the inverse of `P`.
-
-    It is ``x - P m`` with a multiplier ``m`` for each bound that holds it. Which bounds do is
-    found by the primal-dual active-set method (Hintermueller, Ito and Kunisch 2002), which solves
-    the bounds of the last guess together. Where it goes round in circles, the bounded least
-    squares of scipy take over. What rounding leaves outside is clipped.
-    """
-    lower, upper, variance = np.array(low), np.array(high), P.diagonal()
-    m, y = np.zeros(x.size), x
-    held = np.zeros(x.size)
-    for _ in range(_GUESSES):
-        pull = m * variance + y  # where a bound pulls back, or a value lies outside
-        guess = np.where(pull > upper, 1.0, np.where(pull < lower, -1.0, 0.0))
-        if np.array_equal(guess, held):
-            break
-        held, at = guess, guess != 0.0
-        bound = np.where(guess > 0.0, upper, lower)
-        m = np.zeros(x.size)
-        m[at] = np.linalg.solve(P[np.ix_(at, at)], (x - bound)[at])
-        y = np.where(at, bound, x - P @ m)
-    else:
-        y = bounded_least_squares(x, P, lower, upper)
-    return [min(max(value, a), b) for value, a, b in zip(y.tolist(), low, high, strict=True)]
-
-
-def bounded_least_squares(
-    x: FloatArray, P: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Return the same point by active sets that change by one bound at a time (some ms)."""
-    from scipy.linalg import cholesky, solve_triangular
-    from scipy.optimize import lsq_linear
-
-    size = np.sqrt(P.diagonal())  # of different units: scaled
-    root = cholesky(P / size[:, None] / size, lower=True)
-    inverse = solve_triangular(root, np.eye(x.size), lower=True)
-    found = lsq_linear(
-        inverse,
-        inverse @ (x / size),
-        (lower / size, upper / size),
-        method="bvls",
-        tol=1e-14,
-        max_iter=_CHANGES,
-    )
-    return np.asarray(found.x * size)
-
-
 def read_only(values: FloatArray) -> FloatArray:
     """Return an array after forbidding to write to it."""
     values.setflags(write=False)
@@ -177,13 +123,20 @@ def with_memory(
     scores: tuple[float, ...],
 ) -> AdaptationState:
     """Return a state with the memory of the filter."""
-    x = np.array(state.log_flow_gain + state.duration_offset)
+    values = state.log_flow_gain + state.duration_offset
+    x = np.array(values + state.log_charge_factor[: len(P) - len(values)])
     return AdaptationState(
         state.log_flow_gain,
         state.duration_offset,
         state.log_charge_factor,
         KalmanMemory(read_only(x), read_only(P), information, scores),
     )
+
+
+def by_parameter(values: FloatArray, n: int) -> FloatArray:
+    """Values (m,) of the states as rows (3, n); what all cylinders share is told of each."""
+    shared = values[2 * n :].sum()  # one, or none
+    return np.vstack((values[: 2 * n].reshape(2, n), np.full(n, shared)))
 
 
 def numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -212,7 +165,8 @@ def covariance_checked(P: FloatArray) -> FloatArray:
 
 
 @functools.cache
-def _kernel() -> ModuleType:
+def kernel() -> ModuleType:
+    """Return the compiled part, which takes a second to import."""
     from . import _adaptation_kernel
 
     return _adaptation_kernel

@@ -62,14 +62,19 @@ def lyapunov_value(
 
 
 def weighted_value(state: AdaptationState, true: ParameterSet) -> float:
-    """Squared parameter errors weighed with the inverse of the covariance of a Kalman law."""
+    """Squared parameter errors weighed with the inverse of the covariance of a Kalman law.
+
+    Where the law learns a charge factor, it is one that all cylinders share, told by the first.
+    """
+    P = np.asarray(state.memory.covariance)
+    factor = np.subtract(state.log_charge_factor, np.log(true.charge_factor))
     error = np.concatenate(
         (
             np.subtract(state.log_flow_gain, np.log(true.flow_gain)),
             np.subtract(state.duration_offset, true.duration_offset),
+            factor[: len(P) - 2 * state.n_cylinders],
         )
     )
-    P = np.asarray(state.memory.covariance)
     size = np.sqrt(np.diag(P))  # of different units: scaled for the solution
     return float((error / size) @ np.linalg.solve(P / size[:, None] / size, error / size))
 

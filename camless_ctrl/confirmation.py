@@ -204,7 +204,7 @@ def check_growth(
     # The predicted loop reads the flow continuously: at 1 kHz, the place of a sample in the event
     # moves the growth at 6000 rpm by 1 %.
     maf = MafSensor(
-        time_constant=MAF_NOMINAL[0], delay=delay, sampling=TimeSampling(0.25e-3)
+        time_constant=MAF_NOMINAL[0], delay=delay, sampling=TimeSampling(0.5e-3)
     ).ideal()
 
     def run(amplitude: float) -> FloatArray:

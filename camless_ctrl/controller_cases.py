@@ -210,8 +210,23 @@ def performance_cases(
             Bar("every event", 3.0, _largest_from(WARM_UP, 1)),
             jitter=0.0,
         ),
-        case("altitude 0.75 bar, 320 K, 1500 rpm", high, steady(200.0, 10 + AVERAGED), 1500.0,
-             *settled(10, 1.0)),
+        *(
+            case(
+                f"altitude 0.75 bar, 320 K, {demand:g} mg, 1500 rpm",
+                high,
+                steady(demand, 10 + AVERAGED),
+                1500.0,
+                *settled(10, 1.0),
+            )
+            for demand in (200.0, 280.0)
+        ),
+        case(
+            "intake 320 K, 350 mg, 1500 rpm",
+            base.replace(temperature=320.0),
+            steady(350.0, 10 + AVERAGED),
+            1500.0,
+            *settled(10, 1.0),
+        ),
         *(
             case(
                 f"pumping loss, {r.demand / mg:.0f} mg, {r.speed_rpm:g} rpm",

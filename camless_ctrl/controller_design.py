@@ -18,6 +18,8 @@ from .optimal_path import OptimalPath
 
 Progress = Callable[[str, int, int], None]
 
+_SPEED_MARGINS = (0.8, 1.15)  # speeds that are believed, over the model's lowest and highest
+
 
 @dataclass(frozen=True)
 class ControllerDesign:
@@ -42,6 +44,11 @@ class ControllerDesign:
     path: OptimalPath = field(repr=False)
     model: ChargeModel = field(repr=False)
     controller: AirChargeController = field(repr=False)
+
+    def __str__(self) -> str:
+        """Return what it was made from, and the law."""
+        law = type(self.controller.adaptation).__name__
+        return f"{self.path}\n{self.model}\nlaw: {law}"
 
     def with_law(self, adaptation: Adaptation, *, adapt: bool = True) -> AirChargeController:
         """Return the controller with another adaptation law."""
@@ -104,10 +111,12 @@ def design_controller(
     if path is None:
         path = OptimalPath.fit(maps, options=options, progress=_of("optimal motions", progress))
     if model is None:
+        longest = options.longest_deg(base, maps.region)
         model = ChargeModel.fit(
             path,
             plant,
             lowest_lift_mm=options.lowest_lift_mm,
+            longest_deg=longest,
             progress=_of("charge model", progress),
         )
     if model.plant_fingerprint != plant.fingerprint:
@@ -129,6 +138,10 @@ def design_controller(
         ),
         duration_noise=sensors.duration.noise,
         ambient_pressure=base.ambient_pressure,
+        speed_range_rpm=(
+            _SPEED_MARGINS[0] * float(model.speeds_rpm[0]),
+            _SPEED_MARGINS[1] * float(model.speeds_rpm[-1]),
+        ),
     )
     return ControllerDesign(base, maps, path, model, controller)
 
@@ -136,12 +149,17 @@ def design_controller(
 def path_adaptation() -> KalmanAdaptation:
     """Return the least-squares law with the walks that suit motions of least pumping loss.
 
-    With the valve wide open the charge hardly depends on the flow gain (0.1 of its change at 1500
-    rpm, 0.5 at 6000 rpm), so that a gain that walks faster costs little noise of charge. Gains and
+    With the valve wide open the charge hardly depends on the flow gain (0.04 of its change at 750
+    rpm, 0.1 at 1500, 0.6 at 6000 rpm), so that a gain that walks faster costs little noise of
+    charge, and what all cylinders share is left to the charge factor. Differences of gains and
     offsets are remembered for some ten cycles.
     """
     return KalmanAdaptation(
-        common_flow_walk=3e-3, flow_walk=4e-3, common_offset_walk=2.5e-6, offset_walk=8e-6
+        common_flow_walk=1e-3,
+        flow_walk=4e-3,
+        common_offset_walk=2.5e-6,
+        offset_walk=8e-6,
+        charge_walk=5e-4,
     )
 
 

@@ -1,10 +1,13 @@
 """Recursive least squares as a random-walk Kalman filter; the law is this project's own.
 
-The state of the filter holds ``ln g`` and the duration offset ``d`` of every cylinder. Both walk
-at random, each cylinder by itself and all in common, and so does what is believed of them at the
-start: an error of one cylinder tells of the others as far as they share it. An event measures
+The state of the filter holds ``ln g`` and the duration offset ``d`` of every cylinder, and the
+logarithm ``c`` of a charge factor that all share: air density that the model does not know, the
+intake temperature above all. All walk at random, gains and offsets each cylinder by itself and all
+in common, and so does what is believed of them at the start: an error of one cylinder tells of the
+others as far as they share it. An event measures
 
-    ln(estimated/predicted charge) = s_g (ln g - ln g_used) + (1 - w) s_d (d - d_used) + noise
+    ln(estimated/predicted charge) = s_g (ln g - ln g_used) + (1 - w) s_d (d - d_used)
+                                     + c - c_used + noise
     measured - commanded duration  = d + noise,
 
 the two noises uncorrelated by the assumption of `adaptation_laws`, where ``w`` is explained.
@@ -17,11 +20,11 @@ What was used is part of the equation, so that it does not matter how long ago t
 - *Sudden changes*: normalised innovations, limited one by one, are summed with a fading memory
   for each cylinder and for all events. No single one reaches the threshold, but two or three in a
   row with one sign do. Then the covariance grows, of the one cylinder towards its prior or of
-  all by a part in common, just as far as makes the innovation likely.
+  all by what they have in common, just as far as makes the innovation likely.
 - *Excitation*: a parameter on which the events of the recent memory say less than the prior
   does not move by the charge error; its doubt counts as noise. Where data determine only a
-  combination (flow or duration, no measured duration, one operating point), that combination
-  moves, shared out by the prior covariance.
+  combination (flow or duration, no measured duration, one operating point; density or all
+  flows, one flow slope), that combination moves, shared out by the prior covariance.
 """
 
 from __future__ import annotations
@@ -36,22 +39,9 @@ import numpy as np
 from plant._checks import in_range, positive, replace_fields
 from plant.kinematics import FloatArray
 
-from ._kalman_update import (
-    KalmanMemory,
-    Workspace,
-    covariance_checked,
-    limited,
-    numbers,
-    project_onto_box,
-    read_only,
-    renewed,
-    share_of_doubt,
-    steady_gain,
-    structured,
-    updated,
-    with_memory,
-    workspace,
-)
+from . import _kalman_update as algebra
+from ._kalman_projection import projected_state
+from ._kalman_update import KalmanMemory, Workspace, structured
 from .adaptation import AdaptationGains
 from .adaptation_laws import (
     AdaptationState,
@@ -77,7 +67,7 @@ _LEAST_VARIANCE = 1e-6  # of a charge error: no estimate is surer than 0.1 %
 
 @dataclass(frozen=True, slots=True)
 class KalmanAdaptation:
-    """Random-walk Kalman filter on flow gains and duration offsets.
+    """Random-walk Kalman filter on flow gains, duration offsets and a common charge factor.
 
     Parameters
     ----------
@@ -96,6 +86,11 @@ class KalmanAdaptation:
         measurement, s.
     duration_share : float
         ``w``: share of jitter in that variance.
+    charge_spread : float
+        Prior standard deviation of the logarithm of the charge factor that all cylinders share, 1.
+        With 0 it is not learnt.
+    charge_walk : float
+        Standard deviation of its walk in one cycle, 1.
     forgetting : float
         Factor on the information per cycle; 1 leaves forgetting to the walk.
     gate : float
@@ -117,6 +112,8 @@ class KalmanAdaptation:
     offset_walk: float = 3e-6  # s
     duration_noise: float = 0.0707e-3  # s
     duration_share: float = 0.5
+    charge_spread: float = 0.05
+    charge_walk: float = 5e-4
     forgetting: float = 1.0
     gate: float = 3.0
     memory_cycles: float = 20.0
@@ -126,7 +123,7 @@ class KalmanAdaptation:
     def __post_init__(self) -> None:
         for name in ("individual_flow", "flow_walk"):
             in_range(name, getattr(self, name), 0.0, 1.0, "1", open_low=True)
-        for name in ("common_flow", "common_flow_walk"):
+        for name in ("common_flow", "common_flow_walk", "charge_spread", "charge_walk"):
             in_range(name, getattr(self, name), 0.0, 1.0, "1")
         for name in ("individual_offset", "offset_walk", "duration_noise"):
             in_range(name, getattr(self, name), 0.0, 1e-2, "s", open_low=True)
@@ -143,20 +140,16 @@ class KalmanAdaptation:
         return replace_fields(self, changes)
 
     def prior_covariance(self, n_cylinders: int) -> FloatArray:
-        """Covariance (2n, 2n) at the start, the limit of later ones."""
-        return structured(
-            n_cylinders,
-            (self.individual_flow, self.common_flow),
-            (self.individual_offset, self.common_offset),
-        )
+        """Covariance (m, m) at the start, the limit of later ones: see `KalmanMemory`."""
+        flow = self.individual_flow, self.common_flow
+        offset = self.individual_offset, self.common_offset
+        return structured(n_cylinders, flow, offset, self.charge_spread, self.charge_spread > 0.0)
 
     def walk_covariance(self, n_cylinders: int) -> FloatArray:
-        """Covariance (2n, 2n) that the walk of one event adds."""
-        cycle = structured(
-            n_cylinders,
-            (self.flow_walk, self.common_flow_walk),
-            (self.offset_walk, self.common_offset_walk),
-        )
+        """Covariance (m, m) that the walk of one event adds."""
+        flow = self.flow_walk, self.common_flow_walk
+        offset = self.offset_walk, self.common_offset_walk
+        cycle = structured(n_cylinders, flow, offset, self.charge_walk, self.charge_spread > 0.0)
         return cycle / n_cylinders
 
     def steady_gains(
@@ -179,9 +172,10 @@ class KalmanAdaptation:
         """
         R = positive("variance", variance, "1")
         own, common = (flow_slope * self.flow_walk) ** 2, (flow_slope * self.common_flow_walk) ** 2
+        common += self.charge_walk**2 if self.charge_spread else 0.0
         return AdaptationGains(
-            steady_gain(own + n_cylinders * common, R, self.forgetting),
-            steady_gain(own, R, self.forgetting),
+            algebra.steady_gain(own + n_cylinders * common, R, self.forgetting),
+            algebra.steady_gain(own, R, self.forgetting),
         )
 
     def start(self, n_cylinders: int, parameters: ParameterSet | None = None) -> AdaptationState:
@@ -189,7 +183,7 @@ class KalmanAdaptation:
         state = initial_state(self.bounds, n_cylinders, parameters)
         n = state.n_cylinders
         P = self.prior_covariance(n)
-        return with_memory(state, P, (0.0,) * (2 * n), (0.0,) * (2 * n + 1))
+        return algebra.with_memory(state, P, (0.0,) * len(P), (0.0,) * (2 * n + 1))
 
     def update(self, state: AdaptationState, evidence: ChargeEvidence) -> AdaptationStep:
         """Return the state after the evidence of one event.
@@ -205,18 +199,25 @@ class KalmanAdaptation:
         x, P, known, sums = state.memory
         information, scores = list(known), list(sums)
         i = evidence.cylinder - 1
-        j = n + i
-        prior_g, prior_d = work.variances
-        P = (P if work.factor == 1.0 else P * work.factor) + work.walk
-        if P.item(i, i) > prior_g or P.item(j, j) > prior_d:
-            P = limited(P, work.prior)
-        p_g, p_gd, p_d = P.item(i, i), P.item(i, j), P.item(j, j)
+        j, k = n + i, 2 * n
+        learnt = k < len(information)  # whether the charge factor is a state
+        prior_g, prior_d, prior_c = work.variances
+        walk, factor, (walk_g, walk_d, walk_c) = work.walk, work.factor, work.walks
+        place, kernel = k if learnt else i, algebra.kernel()
+        p_g, p_d = P.item(i, i) * factor + walk_g, P.item(j, j) * factor + walk_d
+        p_c = P.item(k, k) * factor + walk_c if learnt else 0.0
+        if p_g > prior_g or p_d > prior_d or p_c > prior_c:
+            P = kernel.grown(P, walk, factor, work.prior, i, j, place)
+            walk, factor = work.still, 1.0
+            p_g, p_d, p_c = P.item(i, i), P.item(j, j), P.item(k, k) if learnt else 0.0
+        p_gd = P.item(i, j) * factor
 
         # Innovations against what is believed now, whatever the command was made with, and the
         # information on each parameter in the recent memory.
-        used, keep = evidence.used, 1.0 - 1.0 / self.memory_cycles
+        used, (keep, keep_c) = evidence.used, work.kept
         known_g, known_d = keep * information[i], keep * information[j]
-        s_g = s_d = spread = spread_d = size = size_d = noise = noise_d = 0.0
+        known_c = keep_c * information[k] if learnt else 0.0
+        s_g = s_d = s_c = spread = spread_d = size = size_d = noise = noise_d = 0.0
         offset = state.duration_offset[i]
         if has_duration:
             duration -= offset
@@ -230,45 +231,55 @@ class KalmanAdaptation:
                 s_d *= 1.0 - self.duration_share
             charge -= s_g * (state.log_flow_gain[i] - math.log(used.flow_gain))
             charge -= s_d * (offset - float(used.duration_offset))
+            charge -= state.log_charge_factor[i] - math.log(used.charge_factor)
             noise = float(evidence.variance)
             if noise < _LEAST_VARIANCE:
                 noise = _LEAST_VARIANCE
             known_g += s_g * s_g / noise
             known_d += s_d * s_d / noise
-        determined_g = known_g * prior_g >= self.least_information
-        determined_d = known_d * prior_d >= self.least_information
+            known_c += 1.0 / noise
+        least = self.least_information
+        determined_g, determined_d = known_g * prior_g >= least, known_d * prior_d >= least
+        determined_c = not learnt or known_c * prior_c >= least
         information[i], information[j] = known_g, known_d
+        if learnt:
+            information[k] = known_c
         if has_charge:
             if not determined_g:
                 noise, s_g = noise + s_g * s_g * p_g, 0.0
             if not determined_d:
                 noise, s_d = noise + s_d * s_d * p_d, 0.0
-            spread = s_g * s_g * p_g + 2.0 * s_g * s_d * p_gd + s_d * s_d * p_d + noise
+            shared = 0.0  # what the doubt about the charge factor adds
+            if learnt and determined_c:
+                s_c = 1.0
+                shared = p_c + 2.0 * factor * (s_g * P.item(i, k) + s_d * P.item(j, k))
+            else:
+                noise += p_c
+            spread = s_g * s_g * p_g + 2.0 * s_g * s_d * p_gd + s_d * s_d * p_d + shared + noise
             size = charge / math.sqrt(spread)
             entering = _LARGEST if size > _LARGEST else -_LARGEST if size < -_LARGEST else size
             scores[i] = _OWN_FADE * scores[i] + entering
             scores[-1] = _COMMON_FADE * scores[-1] + entering
         if has_duration:
-            entering = (
-                _LARGEST if size_d > _LARGEST else -_LARGEST if size_d < -_LARGEST else size_d
-            )
-            scores[j] = _OWN_FADE * scores[j] + entering
+            scores[j] = _OWN_FADE * scores[j] + min(max(size_d, -_LARGEST), _LARGEST)
 
         # What persists renews the doubt; what does not counts less if it lies far out.
         common = abs(scores[-1]) > _COMMON_THRESHOLD
         reset = common or abs(scores[i]) > _OWN_THRESHOLD or abs(scores[j]) > _OWN_THRESHOLD
         if reset:
+            P, walk, factor = P * factor + walk, work.still, 1.0
             if common:
                 more = (s_g * self.common_flow) ** 2 + (s_d * self.common_offset) ** 2
-                P = P + share_of_doubt(charge, spread, spread + more) * work.common
-                P = limited(P, work.prior)
+                share = algebra.share_of_doubt(charge, spread, spread + more + s_c * prior_c)
+                P = algebra.limited(P + share * work.common, work.prior)
             else:
                 likely = s_g * s_g * prior_g + s_d * s_d * prior_d + noise
-                share = max(
-                    share_of_doubt(charge, spread, likely),
-                    share_of_doubt(duration, spread_d, prior_d + noise_d) if has_duration else 0.0,
-                )
-                P = renewed(P, (i, j), share, work.prior)
+                share = algebra.share_of_doubt(charge, spread, likely + s_c * p_c)
+                if has_duration:
+                    share = max(
+                        share, algebra.share_of_doubt(duration, spread_d, prior_d + noise_d)
+                    )
+                P = algebra.renewed(P, (i, j), share, work.prior)
             scores[i] = scores[j] = scores[-1] = 0.0
         else:
             if size > self.gate or size < -self.gate:
@@ -276,42 +287,33 @@ class KalmanAdaptation:
             if size_d > self.gate or size_d < -self.gate:
                 noise_d += spread_d * (abs(size_d) / self.gate - 1.0)
 
-        x, P = updated(
-            x,
-            P,
-            (i, j),
-            (s_g, s_d, charge, noise) if has_charge else None,
-            (duration, noise_d) if has_duration else None,
-        )
-        values = x.tolist()
-        gains, offsets = values[:n], values[n:]
-        (low, high), (first, last) = self.bounds.log_flow_gain, self.bounds.duration_offset
-        projected = (
-            min(gains) < low or max(gains) > high or min(offsets) < first or max(offsets) > last
-        )
-        if projected:
-            values = project_onto_box(x, P, [low] * n + [first] * n, [high] * n + [last] * n)
-            x, gains, offsets = np.array(values), values[:n], values[n:]
-        memory = KalmanMemory(read_only(x), read_only(P), tuple(information), tuple(scores))
-        after = AdaptationState(tuple(gains), tuple(offsets), state.log_charge_factor, memory)
+        x, P, outside = kernel.update(
+            x, P, walk, factor, i, j, place,
+            has_charge, s_g, s_d, s_c, charge, noise, has_duration, duration, noise_d,
+            work.bounds,
+        )  # fmt: skip
+        after, projected = projected_state(self.bounds, outside, x, P, state, information, scores)
         moved = (
             after.log_flow_gain != state.log_flow_gain
             or after.duration_offset != state.duration_offset
+            or after.log_charge_factor != state.log_charge_factor
         )
-        return AdaptationStep(after, charge, projected, moved, determined_g and determined_d, reset)
+        determined = determined_g and determined_d and determined_c
+        return AdaptationStep(after, charge, projected, moved, determined, reset)
 
     def excitation(self, state: AdaptationState) -> FloatArray:
-        """Recent information on each parameter over that of its prior, (2, n).
+        """Recent information on each parameter over that of its prior, (3, n).
 
-        Flow gains first, then duration offsets; below `least_information` one is held.
+        Flow gains first, then duration offsets, then the charge factor that all share (0 where
+        it is not learnt); below `least_information` one is held.
         """
-        n = state.n_cylinders
-        prior = np.diag(self.prior_covariance(n))
-        return np.reshape(np.asarray(state.memory.information) * prior, (2, n))
+        prior = np.diag(self.prior_covariance(state.n_cylinders))
+        return algebra.by_parameter(np.asarray(state.memory.information) * prior, state.n_cylinders)
 
     def deviations(self, state: AdaptationState) -> FloatArray:
-        """Standard deviations (2, n) of ln flow gain (1) and duration offset (s)."""
-        return np.sqrt(np.diag(state.memory.covariance)).reshape(2, state.n_cylinders)
+        """Standard deviations (3, n) of ln flow gain (1), duration offset (s), ln factor (1)."""
+        found = np.sqrt(np.diag(state.memory.covariance))
+        return algebra.by_parameter(found, state.n_cylinders)
 
     def to_dict(self, state: AdaptationState) -> dict[str, Any]:
         """Return a state as plain lists and numbers, for JSON."""
@@ -328,15 +330,18 @@ class KalmanAdaptation:
         """Return the state of `to_dict`; raises `ParameterError` for data that do not fit."""
         state = state_from_dict(_NAME, self.bounds, data, "covariance", "information", "scores")
         n = state.n_cylinders
-        P = covariance_checked(numbers("covariance", data["covariance"], (2 * n, 2 * n)))
-        information = numbers("information", data["information"], (2 * n,))
-        scores = numbers("scores", data["scores"], (2 * n + 1,))
-        return with_memory(state, P, tuple(information.tolist()), tuple(scores.tolist()))
+        m = 2 * n + bool(self.charge_spread)
+        P = algebra.covariance_checked(algebra.numbers("covariance", data["covariance"], (m, m)))
+        information = algebra.numbers("information", data["information"], (m,))
+        scores = algebra.numbers("scores", data["scores"], (2 * n + 1,))
+        return algebra.with_memory(state, P, tuple(information.tolist()), tuple(scores.tolist()))
 
     def _workspace(self, n: int) -> Workspace:
         """Return the workspace for n cylinders, made at its first use."""
-        common = structured(n, (0.0, self.common_flow), (0.0, self.common_offset))
+        prior, walk = self.prior_covariance(n), self.walk_covariance(n)
+        shared = (0.0, self.common_flow), (0.0, self.common_offset), self.charge_spread
+        common = structured(n, *shared, self.charge_spread > 0.0)
         factor = self.forgetting ** (-1.0 / n)
         return self._work.setdefault(
-            n, workspace(self.prior_covariance(n), self.walk_covariance(n), common, factor)
+            n, algebra.workspace(n, prior, walk, common, factor, self.memory_cycles, self.bounds)
         )

@@ -24,6 +24,7 @@ INTEGRATORS = control.ss(*_adaptation_matrices(N, 2, AdaptationGains(0.4, 0.3)),
 LAWS = {
     "gradient": GradientAdaptation(),
     "Kalman": KalmanAdaptation(),
+    "Kalman without factor": KalmanAdaptation(charge_spread=0.0),
     "forgetting Kalman": KalmanAdaptation(forgetting=0.9, gate=2.0),
     "integral": IntegralAdaptation(),
     "LTI": LtiAdaptation(((1500.0, INTEGRATORS), (3000.0, 0.5 * INTEGRATORS))),

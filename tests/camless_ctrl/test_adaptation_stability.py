@@ -49,6 +49,16 @@ def log_error(state, cylinder):
     return math.log(TRUE.flow_gain[cylinder - 1]) - state.log_flow_gain[cylinder - 1]
 
 
+def charge_error(state, cylinder, true, slope=0.5):
+    """Charge error that gain and factor leave."""
+    i = cylinder - 1
+    return (
+        slope * (math.log(true.flow_gain[i]) - state.log_flow_gain[i])
+        + math.log(true.charge_factor[i])
+        - state.log_charge_factor[i]
+    )
+
+
 def loop_of(speed, gains, sensor=(15e-3, 1e-3), sensitivity=1.0):
     lag, delay = sensor
     return EventLoop.at_speed(
@@ -109,20 +119,23 @@ def test_a2_with_a_shared_gain_the_weighted_error_does_not_grow(gains):
 
 def test_a3_errors_weighted_with_the_information_of_the_filter_do_not_grow():
     law = KalmanAdaptation(bounds=ParameterBounds(flow_gain=(0.7, 1.3)))
+    true = TRUE.replace(charge_factor=np.full(4, 0.95))
     random, state = np.random.default_rng(2), law.start(4)
     limit = np.diag(law.prior_covariance(4)) - np.diag(law.walk_covariance(4))
-    checked = projected = 0
+    checked, projected, first = 0, 0, weighted_value(state, true)
     for k in range(800):
         cylinder = k % 4 + 1
         # The command is some events old: what was used is not what is known.
-        used = CylinderParameters(1.0 + 0.1 * random.uniform(-1, 1), 1e-4 * random.uniform(-1, 1))
+        gain, offset, factor = random.uniform(-1, 1, 3)
+        used = CylinderParameters(1.0 + 0.1 * gain, 1e-4 * offset, 1.0 + 0.1 * factor)
         slope, duration_slope = random.uniform(0.2, 0.9), random.uniform(20.0, 200.0)
         share = law.duration_share if k % 2 else 0.0
-        error = slope * (math.log(TRUE.flow_gain[k % 4]) - math.log(used.flow_gain)) + (
+        error = slope * (math.log(true.flow_gain[k % 4]) - math.log(used.flow_gain)) + (
             1.0 - share
-        ) * duration_slope * (TRUE.duration_offset[k % 4] - used.duration_offset)
-        duration = TRUE.duration_offset[k % 4] if k % 2 else math.nan
-        before = weighted_value(state, TRUE)
+        ) * duration_slope * (true.duration_offset[k % 4] - used.duration_offset)
+        error += math.log(true.charge_factor[k % 4]) - math.log(used.charge_factor)
+        duration = true.duration_offset[k % 4] if k % 2 else math.nan
+        before = weighted_value(state, true)
         within = np.all(np.diag(state.memory.covariance) <= limit)
         step = law.update(
             state,
@@ -135,27 +148,27 @@ def test_a3_errors_weighted_with_the_information_of_the_filter_do_not_grow():
         projected += step.projected
         if within and step.determined and not step.reset:
             checked += 1
-            assert weighted_value(state, TRUE) <= before * (1.0 + 1e-9) + 1e-12
+            assert weighted_value(state, true) <= before * (1.0 + 1e-9) + 1e-12
     assert checked > 700
-    assert weighted_value(state, TRUE) < 1e-3
+    assert weighted_value(state, true) < 1e-3 * first
 
 
 def test_a3_holds_where_the_filter_projects():
     law = KalmanAdaptation(bounds=ParameterBounds(flow_gain=(0.7, 1.3)))
-    inside = ParameterSet(np.array([1.3, 0.7, 1.3, 1.0]), np.zeros(4), np.ones(4))
+    inside = ParameterSet(np.array([1.3, 0.7, 1.3, 1.0]), np.zeros(4), np.full(4, 1.02))
     random, state, projected = np.random.default_rng(3), law.start(4), 0
     for k in range(60):  # let the filter know something first
         state = law.update(state, event(k % 4 + 1, 0.0, used=state.of(k % 4 + 1))).state
     for _ in range(200):
         # The state is set outside its reach of the truth: only what the law does then counts.
-        x = np.log(random.uniform(0.72, 1.28, 4))
+        x, c = np.log(random.uniform(0.72, 1.28, 4)), random.uniform(-0.05, 0.05)
         state = AdaptationState(
-            tuple(x), (0.0,) * 4, (0.0,) * 4,
-            state.memory._replace(x=np.concatenate((x, np.zeros(4)))),
+            tuple(x), (0.0,) * 4, (c,) * 4,
+            state.memory._replace(x=np.concatenate((x, np.zeros(4), [c]))),
         )  # fmt: skip
         cylinder = int(random.integers(1, 4))
         used = state.of(cylinder)
-        error = 0.5 * (math.log(inside.flow_gain[cylinder - 1]) - math.log(used.flow_gain))
+        error = charge_error(state, cylinder, inside)
         before = weighted_value(state, inside)
         step = law.update(state, event(cylinder, error, used=used))
         projected += step.projected
@@ -377,13 +390,14 @@ def test_b7_the_filter_itself_settles_behind_every_sensor(speed, sensor):
     A, B, C = loop.measurement.matrices(loop.latency)
     state, x, used, left = law.start(4), np.zeros((len(A), 1)), {}, []
     for k in range(1600):
-        true = np.log([0.9, 1.1, 0.95, 1.0]) if k < 800 else np.log([0.8, 0.8, 1.2, 0.9])
+        gains, density = ([0.9, 1.1, 0.95, 1.0], 1.0) if k < 800 else ([0.8, 0.8, 1.2, 0.9], 0.93)
+        true = ParameterSet(np.array(gains), np.zeros(4), np.full(4, density))
         estimate, past = float((C @ x).item()), k - loop.latency
         cylinder = past % 4 + 1
         if past >= 0:
             state = law.update(state, event(cylinder, estimate, used=used[past])).state
         used[k] = state.of(k % 4 + 1)
-        error = 0.5 * (true[k % 4] - state.log_flow_gain[k % 4])
+        error = charge_error(state, k % 4 + 1, true)
         x = A @ x + B * error
         left.append(error)
     assert np.abs(left[760:800]).max() < 2e-3
@@ -431,7 +445,9 @@ def test_c1_freezing_keeps_the_error_and_switching_does_not_raise_it(law):
             assert lyapunov_value(step.state, TRUE) == value
         else:
             used = state.of(cylinder)
-            step = law.update(state, event(cylinder, 0.5 * log_error(state, cylinder), used=used))
+            step = law.update(
+                state, event(cylinder, charge_error(state, cylinder, TRUE), used=used)
+            )
         before, value, state = value, lyapunov_value(step.state, TRUE), step.state
         assert value <= before + 1e-15 or not of_gradient
     offsets = 1e6 * float(TRUE.duration_offset @ TRUE.duration_offset)  # nothing tells of them

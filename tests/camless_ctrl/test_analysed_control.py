@@ -72,7 +72,7 @@ def test_kalman_law_is_an_integral_correction_with_its_steady_gains():
             told = ChargeEvidence(cylinder, error, variance, np.nan, slope, 0.0, used[of], 1500.0)
             state = law.update(state, told).state
         used[k] = state.of(k % N + 1)
-        moved.append(slope * np.log(used[k].flow_gain))
+        moved.append(slope * np.log(used[k].flow_gain) + np.log(used[k].charge_factor))
     known = np.where(np.arange(errors.size) < LATENCY, 0.0, errors)
     A, B, C, D = (np.asarray(getattr(adaptation_law(MEASURED, gains), m)) for m in "ABCD")
     x, found = np.zeros((len(A), 1)), []

@@ -225,3 +225,24 @@ def test_model_of_another_engine_is_refused(narrow_design):
     unequal = Engine.paper().replace(cylinder_flow_factors=WEAK_CYLINDER)
     with pytest.raises(ParameterError, match="starts from equal cylinders"):
         design_controller(unequal)
+
+
+@pytest.mark.parametrize("temperature", [260.0, 330.0])
+def test_intake_temperature_is_followed_as_a_charge_factor(narrow_design, temperature):
+    # With the valve wide open no flow gain within its bounds explains 10 % of density.
+    run = simulate(
+        full_plant(temperature=temperature),
+        narrow_design.controller,
+        np.concatenate((np.full(160, 2e-4), np.full(160, 2.8e-4))),
+        N,
+        valves=ValveErrors(0.0, JITTER),
+        seed=4,
+    )
+    for first in (10, 43):  # cycles, the second ones after a step of the demand
+        assert np.abs(np.nanmean(run.relative_error[first : first + 30], axis=0)).max() < 0.01
+    learnt = run.final_state.adaptation.parameters
+    # Truth: the density of an ideal gas; what the flow gain explains of it is a few per cent.
+    density = Engine.paper().temperature / temperature
+    assert learnt.charge_factor == pytest.approx([density] * 4, abs=0.05)
+    low, high = narrow_design.controller.adaptation.bounds.flow_gain
+    assert np.all((low < learnt.flow_gain) & (learnt.flow_gain < high))

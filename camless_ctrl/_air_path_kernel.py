@@ -3,7 +3,8 @@
 Imported when an estimator is used first, since Numba takes its time to load. States are, in
 this order, the charge of the window's event and of the event before (kg), the lagged MAF output
 at the window's start (kg/s), the ambient pressure that the MAP sensor sees (Pa), the throttle
-ratio (1), and lag and delay of the MAF sensor (s); the design is explained in `kalman_estimator`.
+ratio (1), lag and delay of the MAF sensor and lag of the MAP sensor (s); the design is explained
+in `kalman_estimator`.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from plant.kinematics import FloatArray
 
 from .event_data import PARTS
 
-STATES = 7
+STATES = 8
 FLOW = 5  # the first of them, on which flow and pressure depend
-CHARGE, BEFORE, OUTPUT, AMBIENT, RATIO, LAG, DELAY = range(STATES)
+CHARGE, BEFORE, OUTPUT, AMBIENT, RATIO, LAG, DELAY, SLOW = range(STATES)
 
 # Numbers of an estimator, all in SI
 (
     CAPACITY,  # manifold mass per pressure V_m/(R T), kg/Pa
     AREA,  # throttle at sonic flow, kg/s
-    MAF_LAG,  # s
-    MAF_DELAY,  # s
+    MAF_LAG,  # s, where its state begins
+    MAF_DELAY,  # s, where its state begins
     MAF_RELATIVE,  # variance as a share of the reading squared, model error included
     MAF_VARIANCE,  # (kg/s)^2, additive noise and quantisation
     MAF_SPAN,  # kg/s, range of the output
-    MAP_LAG,  # s
+    MAP_LAG,  # s, where its state begins
     MAP_VARIANCE,  # Pa^2, noise and quantisation
     MAP_SHARE,  # variance as a share of the pressure drop squared: model error
     PART_SHARE,  # variance as a share of the change in a part squared: model error
@@ -42,15 +43,19 @@ CHARGE, BEFORE, OUTPUT, AMBIENT, RATIO, LAG, DELAY = range(STATES)
     RATIO_SPREAD,  # 1
     LAG_SPREAD,  # s
     DELAY_SPREAD,  # s
+    SLOW_SPREAD,  # s, of the lag of the MAP sensor
     AMBIENT_DRIFT,  # Pa^2/s
     RATIO_DRIFT,  # 1/s
     LAG_DRIFT,  # s^2/s
     DELAY_DRIFT,  # s^2/s
+    SLOW_DRIFT,  # s^2/s
     LONGEST_DELAY,  # s
     OUTPUT_DRIFT,  # variance per window as a share of the output squared
     SAMPLE_GATE,  # squared, of the normalised innovation of a sample
     WINDOW_GATE,  # of the normalised innovation of a window, per degree of freedom
-) = range(25)
+    MAF_RATE,  # 1/s, of samples; 0 where they come by crank angle
+    MAF_PER_EVENT,  # samples in an event where they come by crank angle, 1
+) = range(29)
 
 # What is kept of samples: two counts, two latest times, then times and values of both sensors
 HEAD = 4
@@ -80,11 +85,9 @@ def quasi_steady(normalised: float) -> float:
     return 0.5 * (1.0 + math.sqrt(1.0 - q * q))
 
 
-def _adding(n: int) -> Any:
-    """Return the function that adds a sample on which the first `n` states act.
-
-    Loops whose length is known when they are compiled are unrolled.
-    """
+def _adding(n: int, last: int) -> Any:
+    """Return the function that adds a sample on which the first `n` states and one more act."""
+    # Loops whose length is known when they are compiled are unrolled.
 
     @inlined
     def add(
@@ -102,33 +105,39 @@ def _adding(n: int) -> Any:
         used: int,
     ) -> tuple[float, int]:
         """Add a sample to the normal equations about the prior, unless it is wild."""
-        r = variance[k]
+        r, h_last = variance[k], h[last]
         if first:
-            spread = r
+            spread = r + h_last * h_last * P[last, last]
             for i in range(n):
-                spread += h[i] * h[i] * P[i, i]
+                cross = 0.5 * h[i] * P[i, i] + h_last * P[last, i]
                 for j in range(i):
-                    spread += 2.0 * h[i] * h[j] * P[i, j]
+                    cross += h[j] * P[i, j]
+                spread += 2.0 * h[i] * cross
             if not residual * residual <= gate * spread:
                 variance[k] = math.inf
                 return squares, used
         elif r == math.inf:
             return squares, used
         else:
+            residual += h_last * lin[last]
             for i in range(n):
                 residual += h[i] * lin[i]
         per = 1.0 / r
+        weighted = h_last * per
+        vector[last] += weighted * residual
+        information[last, last] += weighted * h_last
         for i in range(n):
-            weighted = h[i] * per
-            vector[i] += weighted * residual
+            information[last, i] += weighted * h[i]
+            each = h[i] * per
+            vector[i] += each * residual
             for j in range(i + 1):
-                information[i, j] += weighted * h[j]
+                information[i, j] += each * h[j]
         return squares + residual * residual * per, used + 1
 
     return add
 
 
-_add_flow, _add_pressure = _adding(STATES), _adding(FLOW)
+_add_flow, _add_pressure = _adding(DELAY, DELAY), _adding(FLOW, SLOW)
 
 
 @inlined
@@ -173,27 +182,24 @@ def trajectory(
     # Tangents: manifold mass, normalised flow, step's known mass, throttle flow and its rise,
     # pressure, lagged pressure, MAF output
     work = np.zeros((8, FLOW))
-    y_x, h = np.zeros(STATES), np.zeros(STATES)
+    y_x, h, h_p = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
     mass_x, d_x, base_x, flux_x, rise_x = work[0], work[1], work[2], work[3], work[4]
     p_x, p_end_x, z_x = work[5], work[6], work[7]
-    lin = np.empty(STATES)
-    for i in range(STATES):
-        lin[i] = x[i] - prior[i]
+    lin = x - prior
 
     d = min(max(two_before / (start - before) / ratio_area, 0.0), 0.999)
     mass = quasi_steady(d) * full
     d_x[RATIO] = -d / x[RATIO]
     mass_x[RATIO] = full * 0.5 * d * d / (math.sqrt(1.0 - d * d) * x[RATIO])
     mass_x[AMBIENT] = mass / x[AMBIENT]
-    z = mass / capacity
-    p = z
+    z = p = mass / capacity
     for i in range(FLOW):
         z_x[i] = mass_x[i] / capacity
         p_x[i] = z_x[i]
-    y = x[OUTPUT]
-    y_x[OUTPUT] = 1.0
+    y, y_x[OUTPUT] = x[OUTPUT], 1.0
 
-    maf_lag, map_lag = x[LAG], numbers[MAP_LAG]
+    maf_lag, map_lag = x[LAG], x[SLOW]
+    z_slow = 0.0  # change of the lagged pressure with the lag of the MAP sensor
     # The first window is long enough when what is assumed at its start has died out.
     memory = _LAGS * max(map_lag, 1.0 / rate)
     skip = PARTS - min(math.ceil(memory * PARTS / (start - before)), PARTS)
@@ -298,7 +304,11 @@ def trajectory(
                 c = (since - map_lag * (1.0 - e)) / length
                 value = p + (z - p) * e + (p_end - p) * c
                 for i in range(FLOW):
-                    h[i] = p_x[i] + (z_x[i] - p_x[i]) * e + (p_end_x[i] - p_x[i]) * c
+                    h_p[i] = p_x[i] + (z_x[i] - p_x[i]) * e + (p_end_x[i] - p_x[i]) * c
+                if map_lag > 0.0:
+                    by_lag = e * since / (map_lag * map_lag)
+                    c = (by_lag * map_lag - (1.0 - e)) / length
+                    h_p[SLOW] = z_slow * e + (z - p) * by_lag + (p_end - p) * c
                 if first:
                     drop = x[AMBIENT] - value
                     variance[MOST_SAMPLES + b] = (
@@ -307,7 +317,7 @@ def trajectory(
                         + numbers[PART_SHARE] * (p_end - p) * (p_end - p)
                     )
                 squares, used = _add_pressure(
-                    samples[3 * MOST_SAMPLES + b] - value, h, lin, MOST_SAMPLES + b, first, P,
+                    samples[3 * MOST_SAMPLES + b] - value, h_p, lin, MOST_SAMPLES + b, first, P,
                     numbers[SAMPLE_GATE], variance, information, vector, squares, used,
                 )  # fmt: skip
                 b += 1
@@ -323,6 +333,10 @@ def trajectory(
             for i in range(FLOW):
                 y_x[i] = flux_x[i] + (y_x[i] - flux_x[i]) * maf_decay + rise_x[i] * c
         c = 1.0 - map_lag * (1.0 - map_decay) / length
+        if map_lag > 0.0:
+            by_lag = map_decay * length / (map_lag * map_lag)
+            z_slow = z_slow * map_decay + (z - p) * by_lag
+            z_slow += (p_end - p) * (by_lag * map_lag - (1.0 - map_decay)) / length
         z = p + (z - p) * map_decay + (p_end - p) * c
         for i in range(FLOW):
             z_x[i] = p_x[i] + (z_x[i] - p_x[i]) * map_decay + (p_end_x[i] - p_x[i]) * c
@@ -332,8 +346,5 @@ def trajectory(
         of_now, of_last, rest = now_2, last_2, rest_2
         if k == -1:  # the events move on by one
             of_now, of_last, rest = shares[0], shares_1[PARTS], 0.0
-    tail[0] = y
-    for i in range(STATES):
-        tail[1 + i] = y_x[i]
-        tail[1 + STATES + i] = x[i]
+    tail[0], tail[1 : 1 + STATES], tail[1 + STATES :] = y, y_x, x
     return squares, used

@@ -20,10 +20,12 @@ from ._air_path_kernel import (
     MAF_DELAY,
     MAF_LAG,
     MAF_SPAN,
+    MAP_LAG,
     MOST_SAMPLES,
     OUTPUT,
     OUTPUT_DRIFT,
     RATIO,
+    SLOW,
     STATES,
     inlined,
     quasi_steady,
@@ -48,15 +50,22 @@ _BEYOND = 1e-4  # s, by which noise may carry a delay out of its range
 def move(
     P: FloatArray, information: FloatArray, vector: FloatArray, matrix: FloatArray, step: FloatArray
 ) -> float:
-    """Solve ``(1 + P I) step = P v``; `information` holds its lower half. Returns ``v . step``."""
+    """Solve ``(1 + P I) step = P v``; of `information` the lower half is read, the other filled in.
+
+    Returns ``v . step``.
+    """
+    for i in range(STATES):
+        for j in range(i):
+            information[j, i] = information[i, j]
     for i in range(STATES):
         total = 0.0
         for j in range(STATES):
             total += P[i, j] * vector[j]
-            entry = 1.0 if i == j else 0.0
-            for k in range(STATES):
-                entry += P[i, k] * (information[k, j] if k >= j else information[j, k])
-            matrix[i, j] = entry
+            matrix[i, j] = 1.0 if i == j else 0.0
+        for k in range(STATES):
+            by = P[i, k]
+            for j in range(STATES):
+                matrix[i, j] += by * information[k, j]
         step[i] = total
     for k in range(STATES):  # elimination with row pivoting, scaled by the prior's spread
         best, row = -1.0, k
@@ -139,6 +148,7 @@ def predict(
     prior[RATIO] = x[RATIO]
     prior[LAG] = x[LAG]
     prior[DELAY] = x[DELAY]
+    prior[SLOW] = x[SLOW]
     # What the shifted states are of the old ones, from the left and from the right
     for j in range(STATES):
         moved[BEFORE, j] = P[CHARGE, j]
@@ -165,13 +175,12 @@ def predict(
         prior_P[CHARGE, i] = 0.0
     prior_P[CHARGE, CHARGE] = (numbers[CHARGE_SPREAD] * predicted) ** 2
     prior_P[OUTPUT, OUTPUT] += numbers[OUTPUT_DRIFT] * output * output
-    # Events look alike: from a start at high speed a delay may be found an event time off.
-    shift = 0.0
-    if prior[DELAY] < -_BEYOND and prior[DELAY] + length <= numbers[LONGEST_DELAY] + _BEYOND:
-        shift = length
-    elif prior[DELAY] > numbers[LONGEST_DELAY] + _BEYOND and prior[DELAY] - length >= -_BEYOND:
-        shift = -length
-    if shift != 0.0:
+    # Events look alike: from a start at high speed a delay may be found an event time off. Of two
+    # delays that far apart, the one that is less out of range is taken.
+    delay, longest = prior[DELAY], numbers[LONGEST_DELAY]
+    shift = length if delay < 0.0 else -length
+    out = max(-delay, delay - longest)
+    if out > _BEYOND and max(-delay - shift, delay + shift - longest) < out:
         prior[DELAY] += shift
         for i in (BEFORE, OUTPUT):
             for j in range(STATES):
@@ -220,6 +229,7 @@ def begin(
     for i in range(AMBIENT, STATES):
         P[i, i] = numbers[AMBIENT_SPREAD + i - AMBIENT] ** 2
     prior[LAG], prior[DELAY] = numbers[MAF_LAG], numbers[MAF_DELAY]
+    prior[SLOW] = numbers[MAP_LAG]
 
 
 @inlined
@@ -240,6 +250,7 @@ def sound(values: FloatArray) -> bool:
         and values[AMBIENT] > 0.0
         and values[RATIO] > 0.0
         and values[LAG] >= 0.0
+        and values[SLOW] >= 0.0
     )
 
 
@@ -251,5 +262,5 @@ def far(step: FloatArray, at: FloatArray) -> bool:
         or abs(step[BEFORE]) > _NEAR_CHARGE * at[BEFORE]
         or abs(step[AMBIENT]) > _NEAR_AMBIENT * at[AMBIENT]
         or abs(step[RATIO]) > _NEAR_RATIO * at[RATIO]
-        or abs(step[LAG]) + abs(step[DELAY]) > _NEAR_TIME
+        or abs(step[LAG]) + abs(step[DELAY]) + abs(step[SLOW]) > _NEAR_TIME
     )

@@ -27,6 +27,8 @@ from ._air_path_kernel import (
     HEAD,
     LAG,
     MAF_DELAY,
+    MAF_PER_EVENT,
+    MAF_RATE,
     MAP_DELAY,
     MOST_SAMPLES,
     OUTPUT,
@@ -48,12 +50,17 @@ from ._estimator_algebra import (
     predict,
     sound,
 )  # fmt: skip
+from .event_data import PARTS
+
+LEAST_SHARE = 0.5  # of the MAF samples that a window should have; with fewer it has no estimate
+MOST_PASSES = 3  # that linearise a window again
 
 UPDATED, TOO_FEW, WILD, LOST = range(4)  # what came of a window
 
 _tuple: Any = types.Tuple
 _ROW = types.Array(types.float64, 1, "A", readonly=True)
-_TABLE = types.Array(types.float64, 2, "A", readonly=True)
+_OWN = types.Array(types.float64, 1, "C")  # of states and workspace
+_OWN_TABLE = types.Array(types.float64, 2, "C")
 _FASTMATH = {"contract", "arcp", "nsz"}  # as in the plant's kernel
 
 
@@ -133,7 +140,7 @@ def _packed(
 def _keep(stamp: int) -> Any:
     @njit(
         types.float64[::1](
-            _ROW, _ROW, _ROW, _ROW, _ROW, types.float64
+            _OWN, _ROW, _ROW, _ROW, _ROW, types.float64
         ),
         cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH,
     )  # fmt: skip
@@ -164,9 +171,9 @@ def _advance(stamp: int) -> Any:
     @njit(
         _tuple((types.float64[::1], types.float64[::1], types.int64, types.int64, types.int64,
                      types.float64))(
-            _ROW, _ROW, _ROW, _ROW, _ROW, _ROW, types.float64, types.float64, types.float64,
-            types.float64, types.float64, types.float64, _ROW, _ROW, _ROW, _ROW, _TABLE, _ROW,
-            types.boolean, types.float64, types.float64[::1],
+            _OWN, _OWN, _ROW, _ROW, _ROW, _ROW, types.float64, types.float64, types.float64,
+            types.float64, types.float64, types.float64, _ROW, _ROW, _ROW, _OWN, _OWN_TABLE, _OWN,
+            types.boolean, _OWN,
         ),
         cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH,
     )  # fmt: skip
@@ -190,7 +197,6 @@ def _advance(stamp: int) -> Any:
         P: FloatArray,
         carry: FloatArray,
         fresh: bool,
-        fewest: float,
         out: FloatArray,
     ) -> tuple[FloatArray, FloatArray, int, int, int, float]:
         """Keep the samples, predict a window and weigh what its samples say.
@@ -203,6 +209,10 @@ def _advance(stamp: int) -> Any:
         work = np.empty(4 * MOST_SAMPLES)
         delay = numbers[MAF_DELAY] if fresh else x[DELAY]
         maf_start, map_start = start + delay, start + numbers[MAP_DELAY]
+        if not fresh:
+            # A sample that the window before left over stays, though the delay learnt since
+            # then places it before this one.
+            maf_start -= (end - start) / PARTS
         n_maf, last_maf = _kept(
             old, HEAD, int(old[0]), maf_start, latest, old[2], maf_time, maf, work, 0
         )
@@ -218,11 +228,14 @@ def _advance(stamp: int) -> Any:
         kept = _packed(work, n_maf, n_map, last_maf, last_map, inside_maf, inside_map)
 
         length = end - start
+        expected = math.floor(length * numbers[MAF_RATE] + 1e-6) + numbers[MAF_PER_EVENT]
+        fewest = max(LEAST_SHARE * expected, 1.0)
         flow = predicted / length
         prior = out[PRIOR : PRIOR + STATES]
         prior_P = out[COVARIANCE:MEASURED].reshape(STATES, STATES)
         information, scratch = np.empty((STATES, STATES)), np.empty((STATES, STATES))
-        vector, step, at = np.empty(STATES), np.empty(STATES), np.empty(STATES)
+        vector, at = np.empty(STATES), np.empty(STATES)
+        step, change = np.empty(STATES), np.empty(STATES)
         tail = np.empty(CARRY)
         two_before = x[BEFORE]
         if not fresh:
@@ -267,17 +280,22 @@ def _advance(stamp: int) -> Any:
             status = WILD
         else:
             explained = move(prior_P, information, vector, scratch, step)
-            for _ in range(3 if fresh else 1):
+            change[:] = step
+            for _ in range(MOST_PASSES):
                 for i in range(STATES):
                     at[i] = prior[i] + step[i]
-                if not (far(step, prior) and sound(at)):
+                if not (far(change, prior) and sound(at)):
                     break
                 squares, used = trajectory(
                     numbers, before, start, end, two_before, shares, shares_1, shares_2, flow, at,
                     prior, False, prior_P, work, inside_maf, inside_map, variance, information,
                     vector, tail,
                 )  # fmt: skip
+                for i in range(STATES):
+                    change[i] = -step[i]
                 explained = move(prior_P, information, vector, scratch, step)
+                for i in range(STATES):
+                    change[i] += step[i]
             innovation = squares - explained
             compress(information, vector, prior, out)
             for i in range(STATES):
@@ -301,7 +319,7 @@ def _advance(stamp: int) -> Any:
 
 def _inverse(stamp: int) -> Any:
     @njit(
-        types.float64[:, ::1](types.Array(types.float64, 2, "A", readonly=True)),
+        types.float64[:, ::1](_OWN_TABLE),
         cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH,
     )  # fmt: skip
     def inverse(matrix: FloatArray) -> FloatArray:

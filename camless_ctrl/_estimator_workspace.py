@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -35,11 +36,13 @@ _POSITIVE = {
 _NOT_NEGATIVE = {
     "lag_spread": "s",
     "delay_spread": "s",
+    "map_lag_spread": "s",
     "longest_delay": "s",
     "ambient_drift": "Pa/s^0.5",
     "ratio_drift": "1/s^0.5",
     "lag_drift": "s/s^0.5",
     "delay_drift": "s/s^0.5",
+    "map_lag_drift": "s/s^0.5",
     "flow_error": "1",
     "drop_error": "1",
     "part_error": "1",
@@ -79,7 +82,12 @@ def noise_variance(sensor: AirSensor) -> float:
 
 def kernel_numbers(e: KalmanEstimator) -> FloatArray:
     """Return the numbers of an estimator in the order of `_air_path_kernel`."""
-    maf, map_ = e.maf, e.map
+    maf, map_, sampling = e.maf, e.map, e.maf.sampling
+    # MAF samples to be expected: by their rate in 1/s, or their number in an event
+    rate = 1.0 / sampling.period if isinstance(sampling, TimeSampling) else 0.0
+    per_event = 0.0
+    if isinstance(sampling, CrankSampling):
+        per_event = float(int(720.0 / e.n_cylinders / sampling.step_deg + 1e-6))
     return np.array(
         [
             e.manifold_capacity,
@@ -99,14 +107,18 @@ def kernel_numbers(e: KalmanEstimator) -> FloatArray:
             e.ratio_spread,
             e.lag_spread if e.maf.time_constant > 0.0 else 0.0,
             e.delay_spread if e.maf.time_constant > 0.0 else 0.0,
+            e.map_lag_spread if e.map.time_constant > 0.0 else 0.0,
             e.ambient_drift**2,
             e.ratio_drift**2,
             e.lag_drift**2,
             e.delay_drift**2,
+            e.map_lag_drift**2,
             max(e.longest_delay, maf.delay),
             e.output_error**2,
             e.sample_gate**2,
             e.window_gate,
+            rate,
+            per_event,
         ]
     )
 
@@ -117,13 +129,8 @@ class Workspace:
     def __init__(self, estimator: KalmanEstimator) -> None:
         self.numbers = kernel_numbers(estimator)
         self.map_delay = estimator.map.delay
-        # MAF samples to be expected: by their period in s, or their number in an event
-        sampling = estimator.maf.sampling
-        self.period = sampling.period if isinstance(sampling, TimeSampling) else 0.0
-        self.per_event = 0.0
-        if isinstance(sampling, CrankSampling):
-            event_deg = 720.0 / estimator.n_cylinders
-            self.per_event = float(int(event_deg / sampling.step_deg + 1e-6))
+        self.event_by_rpm = 120.0 / estimator.n_cylinders  # event time times speed, s rpm
+        self.shape_variance = estimator.shape_error**2
         empty = np.empty(0)
         self.nothing = (empty, empty, empty, empty)
         n, square = STATES, (STATES, STATES)
@@ -131,6 +138,12 @@ class Workspace:
         self.out = np.zeros(2 * half)
         self.x, self.P = self.out[:n], self.out[n:half].reshape(square)
         self.z, self.H = self.out[half : half + n], self.out[half + n :].reshape(square)
+
+    @functools.cached_property
+    def kernel(self) -> ModuleType:
+        from . import _estimator_kernel
+
+        return _estimator_kernel
 
     @functools.cached_property
     def filter(self) -> Any:

@@ -12,6 +12,7 @@ ambient      pressure before the throttle as the MAP sensor sees it: its offset 
 ratio        of the flow through the throttle that MAF tells to that which the      1
              pressure drop tells; random walk
 lag, delay   of the MAF sensor; random walks                                        s
+slow         lag of the MAP sensor; random walk                                     s
 ===========  =====================================================================  =====
 
 *Prediction.* Each charge flows out of the manifold by its record's shares, in `PARTS` parts of
@@ -23,17 +24,21 @@ quasi-steady manifold, the charge of event ``w - 2`` as it was last estimated) h
 tangent of all this is exact.
 
 *Update.* The samples of the window give normal equations; they are compressed to a measurement
-of seven numbers with unit noise, with which `filterpy.kalman.KalmanFilter` updates. The window is
-linearised about the prior, and once more about what comes out where that is far from it, since
-the pressure drop goes with the square of the flow (an iterated filter).
+of eight numbers with unit noise, with which `filterpy.kalman.KalmanFilter` updates. The window is
+linearised about the prior, and again about what comes out, until that moves no more: the pressure
+drop goes with the square of the flow (an iterated filter).
 
 *Why the ratio.* MAF alone fixes the level of the charge, and its gain error is in the estimate:
 no estimator can see it. MAP follows within a millisecond and tells the events apart, which the
 lag of the MAF sensor blurs; the ratio keeps the two from contradicting each other.
 
-*Lag and delay.* The rhythm of the inflow tells both, so that a wrong assumption leaves no error
-once they are learnt. At high speed a delay looks like one that is an event time longer: a filter
-that starts at 6000 rpm with six cylinders may take 3 ms for 0. One that has run slower does not.
+*Lags and delay.* The rhythm of the inflow tells them, so that a wrong assumption leaves no error
+once they are learnt. Their spreads are those of the ranges that are assumed of the sensors about
+what is assumed here (10 to 20 ms about 15, 0 to 3 about 1, 0.5 to 2 about 1). Wider ones let the
+first window explain a delay by a lag that no sensor has; a MAP lag that is taken for known
+contradicts the dips of the pressure at 6000 rpm. At high speed a delay looks like one that is an
+event time longer: a filter that starts at 6000 rpm with six cylinders may take 3 ms for 0. One
+that has run slower does not.
 
 *What is needed of the record.* The shares should be those of the cylinder's own flow gain
 (`inflow_share_slopes`): of equal cylinders they cost 0.8 % at 6000 rpm in one that is 15 % weak.
@@ -46,10 +51,8 @@ the degrees of freedom.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass, field
-from types import ModuleType
 from typing import Any, Self
 
 import numpy as np
@@ -64,7 +67,10 @@ from ._estimator_workspace import Workspace, check, sensor_of
 from ._pickling import by_fields
 from .event_data import ChargeEstimate, EventRecord, Measurement
 
-LEAST_SHARE = 0.5  # of the MAF samples that a window should have; with fewer it has no estimate
+__all__ = ["EstimatorState", "EstimatorUpdate", "KalmanEstimator"]
+
+Samples = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # MAF time, flow; MAP time, Pa
+
 MOST_REJECTIONS = 3  # windows in a row without an update, after which the filter begins anew
 SHORTEST_EVENT, LONGEST_EVENT = 1e-4, 2.0  # s; a shorter or longer window is not an event
 MOST_PENDING = 12  # events that wait for their samples; older ones go without
@@ -99,9 +105,9 @@ class KalmanEstimator:
         How far off the ambient state may be at the start, Pa.
     ratio_spread : float
         How far the ratio may be from 1, 1.
-    lag_spread, delay_spread : float
-        How far lag and delay of the MAF sensor may be from what is assumed, s; 0 takes them for
-        known.
+    lag_spread, delay_spread, map_lag_spread : float
+        How far lag and delay of the MAF sensor and the lag of the MAP sensor may be from what is
+        assumed (1 sigma), s; 0 takes them for known.
     longest_delay : float
         Longest delay of the MAF sensor, s. At high speed events look alike, and only the range
         of the delay tells it from one that is an event time shorter or longer.
@@ -109,8 +115,8 @@ class KalmanEstimator:
         Random walk of the ambient state, Pa/s^0.5.
     ratio_drift : float
         Random walk of the ratio, 1/s^0.5.
-    lag_drift, delay_drift : float
-        Random walks of lag and delay, s/s^0.5.
+    lag_drift, delay_drift, map_lag_drift : float
+        Random walks of lags and delay, s/s^0.5.
     flow_error : float
         Model error of a MAF sample, as a share of the reading: inflow that is even over a
         part, charges that flow otherwise than their shares.
@@ -141,13 +147,15 @@ class KalmanEstimator:
     charge_spread: float = 0.2  # 1
     ambient_spread: float = 2000.0  # Pa
     ratio_spread: float = 0.05  # 1
-    lag_spread: float = 5e-3  # s
-    delay_spread: float = 2e-3  # s
+    lag_spread: float = 3e-3  # s
+    delay_spread: float = 1e-3  # s
+    map_lag_spread: float = 0.5e-3  # s
     longest_delay: float = MAF_DELAYS[1]  # s
     ambient_drift: float = 20.0  # Pa/s^0.5
     ratio_drift: float = 0.002  # 1/s^0.5
     lag_drift: float = 5e-5  # s/s^0.5
     delay_drift: float = 2e-5  # s/s^0.5
+    map_lag_drift: float = 1e-5  # s/s^0.5
     flow_error: float = 0.003  # 1
     drop_error: float = 0.02  # 1
     part_error: float = 0.1  # 1
@@ -209,7 +217,10 @@ class KalmanEstimator:
 
     def start(self) -> EstimatorState:
         """Return the state before the first event: nothing is known but the ambient pressure."""
-        return EstimatorState.empty(self.ambient_pressure, self.maf.time_constant, self.maf.delay)
+        maf, map_ = self.maf, self.map
+        return EstimatorState.empty(
+            self.ambient_pressure, maf.time_constant, maf.delay, map_.time_constant
+        )
 
     def commanded(self, state: EstimatorState, record: EventRecord) -> EstimatorState:
         """Return the state with the event that was just commanded.
@@ -246,84 +257,73 @@ class KalmanEstimator:
         """
         work = self._workspace
         time, speed = float(measurement.time), float(measurement.speed_rpm)
-        ahead = 120.0 / (self.n_cylinders * speed) if speed > 0.0 else 0.0
+        ahead = work.event_by_rpm / speed if speed > 0.0 else 0.0
         latest = time + ahead if ahead < LONGEST_EVENT else time
         if not math.isfinite(latest):
             latest = -math.inf  # without a time, no sample can be placed
+        asarray, kind = np.asarray, np.float64
         samples = (
-            np.asarray(measurement.sample_time, dtype=np.float64),
-            np.asarray(measurement.sample_flow, dtype=np.float64),
-            np.asarray(measurement.pressure_time, dtype=np.float64),
-            np.asarray(measurement.pressure, dtype=np.float64),
+            asarray(measurement.sample_time, kind),
+            asarray(measurement.sample_flow, kind),
+            asarray(measurement.pressure_time, kind),
+            asarray(measurement.pressure, kind),
         )
         delay = state.x.item(DELAY)  # as it was learnt
         arrived = time - (delay if delay > work.map_delay else work.map_delay) + _ON_TIME
         found = None
         while True:
-            following = state.behind + 1
-            if len(state.pending) <= following or not (
-                state.pending[following].start <= arrived
-                or not math.isfinite(state.pending[following].start)
-            ):
+            pending, following = state.pending, state.behind + 1
+            if following >= len(pending):
+                break
+            end = pending[following].start
+            if end > arrived and end < math.inf:
                 break
             found = self._window(state, samples, latest)
             state, samples = found.state, work.nothing
         if found is not None:
             return found
         if latest > -math.inf:
-            kernel = _kernel()
-            state = state.with_samples(kernel.keep(state.samples, *samples, latest))
+            state = state.with_samples(work.kernel.keep(state.samples, *samples, latest))
         return EstimatorUpdate(state, None, None, 0, 0)
 
-    # -- internals ---------------------------------------------------------------------------
-
-    def _window(
-        self,
-        state: EstimatorState,
-        samples: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-        latest: float,
-    ) -> EstimatorUpdate:
+    def _window(self, state: EstimatorState, samples: Samples, latest: float) -> EstimatorUpdate:
         """Work off the oldest window that waits."""
-        work, kernel = self._workspace, _kernel()
-        pending, behind = state.pending, state.behind
-        record, end = pending[behind], pending[behind + 1].start
+        work = self._workspace
+        kernel = work.kernel
+        x, P, carry, kept, pending, behind, rejections = state
+        index, cylinder, start, _, point, _, _ = record = pending[behind]
+        end = pending[behind + 1].start
         previous = pending[behind - 1] if behind >= 1 else record
         earlier = pending[behind - 2] if behind >= 2 else previous
-        length = end - record.start
-        before = previous.start if behind else record.start - length
-        if not SHORTEST_EVENT <= record.start - before <= LONGEST_EVENT:
-            before = record.start - length
-        predicted, charge_1 = record.point.charge, previous.point.charge
+        length, before = end - start, previous.start
+        if not (behind and SHORTEST_EVENT <= start - before <= LONGEST_EVENT):
+            before = start - length
+        predicted, charge_1 = point.charge, previous.point.charge
         if not (
             SHORTEST_EVENT <= length <= LONGEST_EVENT
             and 0.0 < predicted < math.inf
             and 0.0 < charge_1 < math.inf
         ):
-            kept = state.samples
             if latest > -math.inf:
                 kept = kernel.keep(kept, *samples, latest)
             return EstimatorUpdate(state.lost(kept), None, None, 0, 0, True)
-        fewest = LEAST_SHARE * (
-            math.floor(length / work.period + 1e-6) if work.period else work.per_event
-        )
         kept, carry, status, used, rejected, innovation = kernel.advance(
             work.numbers,
-            state.samples,
+            kept,
             *samples,
             latest,
             before,
-            record.start,
+            start,
             end,
             predicted,
             charge_1,
-            record.point.shares,
+            point.shares,
             previous.point.shares,
             earlier.point.shares,
-            state.x,
-            state.P,
-            state.carry,
-            state.rejections < 0 or state.rejections >= MOST_REJECTIONS,
-            fewest if fewest > 1.0 else 1.0,
+            x,
+            P,
+            carry,
+            rejections < 0 or rejections >= MOST_REJECTIONS,
             work.out,
         )
         if status == kernel.LOST:
@@ -335,20 +335,13 @@ class KalmanEstimator:
         filter_.x, filter_.P = work.x, work.P
         filter_.update(work.z, None, work.H)  # with H, no time goes into the shape of z
         x, P = filter_.x, filter_.P
-        m, m_1, *_ = x.tolist()
-        shape = self.shape_error * self.shape_error
-        v, v_1 = P.item(0, 0) + shape * m * m, P.item(1, 1) + shape * m_1 * m_1
-        filtered = ChargeEstimate(record.event_index, record.cylinder, m, v, innovation, used)
+        m, m_1 = x.item(0), x.item(1)
+        shape = work.shape_variance
+        # Built as tuples, which takes half the time of a named tuple's own constructor.
+        made, v, v_1 = tuple.__new__, P.item(0, 0) + shape * m * m, P.item(1, 1) + shape * m_1 * m_1
+        filtered = made(ChargeEstimate, (index, cylinder, m, v, innovation, used))
         smoothed = None
         if behind:
-            smoothed = ChargeEstimate(
-                previous.event_index, previous.cylinder, m_1, v_1, innovation, used
-            )
-        return EstimatorUpdate(state.updated(x, P, carry, kept), filtered, smoothed, used, rejected)
-
-
-@functools.cache
-def _kernel() -> ModuleType:
-    from . import _estimator_kernel
-
-    return _estimator_kernel
+            smoothed = made(ChargeEstimate, (*previous[:2], m_1, v_1, innovation, used))
+        after = state.updated(x, P, carry, kept)
+        return made(EstimatorUpdate, (after, filtered, smoothed, used, rejected, False))

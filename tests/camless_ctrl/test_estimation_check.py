@@ -8,6 +8,7 @@ from camless_ctrl.estimation_check import EstimationPoint, check_estimator
 from camless_ctrl.kalman_estimator import KalmanEstimator
 from plant import CrankAnglePlant, Engine
 from plant.errors import ParameterError
+from plant.sampling import TimeSampling
 from plant.sensors import MafSensor, MapSensor, SensorSet
 
 # One weak cylinder, the others within 5 %
@@ -89,6 +90,60 @@ def test_wrong_lag_and_delay_are_learnt(maf, speed):
     assert result.missing == 0
     assert np.max(np.abs(result.cylinder_errors)) < 0.006
     assert result.consistency < 1.2
+
+
+@pytest.mark.parametrize("map_lag", [0.5e-3, 2e-3])
+def test_lag_of_the_pressure_sensor_is_learnt(map_lag):
+    # The dips of the pressure, 5 kPa at 6000 rpm, would contradict a wrong one.
+    result = checked(4, 6000, SensorSet(map=MapSensor(time_constant=map_lag))).results[0]
+    assert result.missing == 0
+    assert np.max(np.abs(result.cylinder_errors)) < 0.006
+    assert 0.7 < result.innovation_ratio < 1.3
+
+
+@pytest.mark.parametrize(
+    ("point", "lag", "delay", "map_lag", "first"),
+    [
+        (EstimationPoint(3000.0, 8.0, 130.0), 10.30e-3, 2.97e-3, 1.83e-3, 0.82e-3),
+        (EstimationPoint(3000.0, 8.0, 130.0), 10.16e-3, 2.88e-3, 1.91e-3, 0.26e-3),
+        (EstimationPoint(3000.0, 6.0, 155.0), 10.54e-3, 2.99e-3, 1.37e-3, 0.89e-3),
+        (EstimationPoint(4500.0, 8.0, 190.0), 20.00e-3, 3.00e-3, 0.50e-3, 0.0),
+        (EstimationPoint(6000.0, 8.0, 190.0), 13.80e-3, 1.70e-3, 1.00e-3, 0.3e-3),
+    ],
+)
+def test_cold_start_with_sensors_at_the_edge_of_their_range(point, lag, delay, map_lag, first):
+    # Samples without noise hold nothing but the plant and the sensors: no window may be refused.
+    phase = TimeSampling(first=first)
+    sensors = SensorSet(
+        maf=MafSensor(time_constant=lag, delay=delay, sampling=phase).ideal(),
+        map=MapSensor(time_constant=map_lag, sampling=phase).ideal(),
+    )
+    engine = Engine.paper().replace(
+        temperature=273.4, ambient_pressure=0.96e5, cylinder_flow_factors=(0.885,) * 4
+    )
+    bias = -0.1 if point.lift_mm == 6.0 else 0.0
+    check = check_estimator(
+        KalmanEstimator.of(Engine.paper()), CrankAnglePlant(engine, oscillation=True), [point],
+        sensors=sensors, cycles=14, variation=0.0, step=1.0, prediction_bias=bias,
+        prediction_spread=0.0,
+    )  # fmt: skip
+    result = check.results[0]
+    assert result.missing == 0
+    late = result.error.reshape(-1, 4)[6:]
+    assert np.max(np.abs(late)) < 0.01
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-3, 3e-3])
+def test_every_sample_counts_once(delay):
+    # Samples fall on the edges of the windows: the learnt delay, which moves by microseconds,
+    # places them now in one window and now in the next.
+    sensors = SensorSet(maf=MafSensor(delay=delay).ideal(), map=MapSensor().ideal())
+    still = {"variation": 0.0, "step": 1.0, "prediction_bias": 0.0, "prediction_spread": 0.0}
+    result = checked(4, 6000, sensors, cycles=60, **still).results[0]
+    # a period of 1 ms, an event of 5 ms, two sensors
+    assert abs(result.degrees.sum() - 10 * result.degrees.size) <= 2
+    late = result.error.reshape(-1, 4)[30:]
+    assert np.max(np.ptp(late, axis=0)) < 3e-4
 
 
 def test_altitude_and_warm_air():

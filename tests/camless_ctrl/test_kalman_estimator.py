@@ -164,7 +164,7 @@ def test_tangent_against_differences(speed):
 
     length = 30.0 / speed
     charge = 0.6 * AREA * length * 0.15
-    x = np.array([charge, 1.2 * charge, 0.015, 0.99e5, 1.03, 0.014, 1.2e-3])
+    x = np.array([charge, 1.2 * charge, 0.015, 0.99e5, 1.03, 0.014, 1.2e-3, 0.8e-3])
     numbers = KalmanEstimator.of(ENGINE)._workspace.numbers
     shares = np.diff(swell(0.7 * EDGES))  # reaches into the next event
     variance = np.ones(2 * kernel.MOST_SAMPLES)
@@ -245,6 +245,51 @@ def test_gain_and_offset_of_the_sensors():
     drop = state.x[3] - 1.015e5, state.x[4] - 1.03
     assert abs(drop[0]) < 300.0
     assert abs(drop[1]) < 0.03
+
+
+@pytest.mark.parametrize("lag", [0.5e-3, 2e-3])
+def test_lag_of_the_pressure_sensor(lag):
+    length = 0.005
+    charges, maf, _ = scenario(length, 120)
+    time, _, pressure = air_path(charges, length)
+    map_ = readings(time, pressure, lag, 0.0)
+    _, smoothed, state = run(
+        KalmanEstimator.of(ENGINE), records(charges, length, charges), length, maf, map_
+    )
+    assert state.x[7] == pytest.approx(lag, abs=0.15e-3)
+    error = [smoothed[k].charge / charges[k] - 1.0 for k in range(40, 115)]
+    assert np.max(np.abs(error)) < 3e-3
+
+
+def test_of_two_delays_an_event_apart_the_one_in_range_is_taken():
+    from camless_ctrl import _air_path_kernel as kernel
+    from camless_ctrl._estimator_algebra import predict
+
+    n, length = kernel.STATES, 20.0 / 6000.0  # six cylinders at 6000 rpm
+    numbers = KalmanEstimator.of(ENGINE)._workspace.numbers
+    for delay, taken in (
+        (-0.05e-3, -0.05e-3),  # noise
+        (-0.5e-3, length - 0.5e-3),
+        (-0.22e-3, length - 0.22e-3),  # 0.11 ms beyond the range, instead of 0.22 ms
+        (3.2e-3, 3.2e-3 - length),
+        (3.05e-3, 3.05e-3),
+        (1.5e-3, 1.5e-3),
+        (-2e-4 - 0.5 * length, 0.5 * length - 2e-4),
+    ):
+        x = np.array([2e-4, 2e-4, 0.06, 1e5, 1.0, 0.015, delay, 1e-3])
+        prior, P, scratch = np.empty(n), np.empty((n, n)), np.empty((n, n))
+        carry = np.zeros(kernel.CARRY)
+        predict(numbers, x, np.diag(x**2) * 1e-4, carry, 2e-4, length, prior, P, scratch)
+        assert prior[6] == pytest.approx(taken, abs=1e-12)
+        assert np.array_equal(P, P.T)
+
+
+def test_states_compare_by_identity():
+    start = KalmanEstimator.of(ENGINE).start()
+    assert start == start
+    assert start != KalmanEstimator.of(ENGINE).start()
+    assert len({start, start}) == 1
+    assert "rejections=-1" in repr(start)
 
 
 def test_wild_samples_are_left_out():

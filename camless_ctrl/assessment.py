@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from .estimation_check import EstimationCheck
     from .feedforward_check import FeedforwardCheck
+    from .loop_verdict import LoopVerdict
     from .performance import PerformanceTable
     from .robust_analysis import RobustAnalysis
     from .robustness import RobustnessResult
@@ -81,8 +82,10 @@ def assess_uncertainty(found: Quantification) -> list[RequirementResult]:
     ]
 
 
-def assess_robustness(results: Sequence[RobustnessResult]) -> list[RequirementResult]:
-    """Requirements on the air-charge loop, over all speeds analysed; NaN where unstable."""
+def assess_robustness(
+    results: Sequence[RobustnessResult | LoopVerdict],
+) -> list[RequirementResult]:
+    """Requirements on poles and margins of a loop, over all speeds analysed; NaN where unstable."""
     radii = [(mode.spectral_radius, r) for r in results for mode in r.modes]
     radius, at = max(radii, key=lambda pair: pair[0])
     worst = max(results, key=lambda r: r.worst[0])
@@ -129,22 +132,29 @@ def assess_structured(found: RobustAnalysis) -> list[RequirementResult]:
 
 
 def _tight(found: RobustAnalysis) -> RequirementResult:
-    """Requirement on the break, over the speeds at which all modes are adapted."""
-    adapted = [s for s in found.speeds if found.schedule.at(s.speed_rpm).imbalance > 0.0]
-    checks = [s.tightness for s in adapted if s.tightness is not None]
-    off = [(100.0 * abs(t.ratio - 1.0), t.speed_rpm) for t in checks]
+    """Requirement on the breaks: by gain at every speed, or by distance where all is adapted."""
+    from .gain_break import WITHIN as GAIN_BREAK_WITHIN
+    from .tightness import WITHIN as DISTANCE_WITHIN
+
+    by_gain = any(s.gain_break is not None for s in found.speeds)
+    counted = [s for s in found.speeds if by_gain or found.schedule.at(s.speed_rpm).imbalance > 0.0]
+    off: dict[float, float] = {}  # relative deviation at each speed
+    for s in found.speeds:
+        check = s.gain_break if by_gain else s.tightness
+        if check is not None:
+            off[s.speed_rpm] = abs(check.ratio - 1.0)
+    tried = {s.speed_rpm: off[s.speed_rpm] for s in counted if s.speed_rpm in off}
     note = "not tried at every such speed"
-    if off:
-        note = f"at {max(off)[1]:g} rpm, of {len(off)} speeds"
-    held = [
-        f"{t.speed_rpm:g} rpm {100.0 * abs(t.ratio - 1.0):.1f} %"
-        for t in (s.tightness for s in found.speeds if s not in adapted)
-        if t is not None
-    ]
+    if tried:
+        speed = max(tried, key=lambda at: tried[at])
+        what = "gains" if by_gain else "distance"
+        note = f"{what} {100.0 * tried[speed]:.1f} % off at {speed:g} rpm, of {len(tried)} speeds"
+    held = [f"{at:g} rpm {100.0 * part:.1f} %" for at, part in off.items() if at not in tried]
     if held:
         note += f"; the mean alone, not counted: {', '.join(held)}"
-    complete = bool(adapted) and len(checks) == len(adapted)
-    return evaluate("loop-tight", max(off)[0] if complete else math.nan, note)
+    complete = bool(counted) and len(tried) == len(counted)
+    allowed = GAIN_BREAK_WITHIN if by_gain else DISTANCE_WITHIN
+    return evaluate("loop-tight", max(tried.values()) / allowed if complete else math.nan, note)
 
 
 def _ceiling(found: StructuredRobustness) -> float:

@@ -30,6 +30,7 @@ from .event_data import ChargeEstimate, EventRecord, Measurement, ModelPoint
 SETTLING_EVENTS = 60  # after which the covariance stands still, within 1 % of the variance
 FOLLOWED_EVENTS = 30  # after the change
 SAMPLE_TIME = 1e-3  # s
+LONGER = (1, 4)  # times the events, tried in turn
 PHASES = (0.5, 0.3, 0.7, 0.1, 0.9)  # of the samples within their interval, tried in turn
 _STANDING = 0.01  # change of the variance per cycle that counts as none, relative
 _DIED = 0.01  # of the largest tap, below which the last ones have to be
@@ -175,15 +176,20 @@ def estimator_response(
         settling_events,
         settling_events + followed_events,
     )
-    for phase in PHASES:
-        within: FloatArray = (np.arange(per_event, dtype=np.float64) + phase) * (T / per_event)
-        found = feed.response(T, within)
-        if found is not None:
-            return replace(found, phase=phase)
+    for longer in LONGER:
+        start = longer * settling_events
+        feed = replace(feed, start=start, end=start + longer * followed_events)
+        for phase in PHASES:
+            within: FloatArray = (np.arange(per_event, dtype=np.float64) + phase) * (T / per_event)
+            found = feed.response(T, within)
+            if found is not None:
+                return replace(found, phase=phase)
+    most = LONGER[-1]
     raise ParameterError(
         f"the estimates of {1e6 * points.rest.charge:.0f} mg at {speed_rpm:g} rpm have gaps or do "
-        f"not come to rest within {settling_events} events, or {followed_events} after a change: "
-        "raise settling_events and followed_events, or ask whether the model suits the plant"
+        f"not come to rest within {most * settling_events} events, or {most * followed_events} "
+        "after a change: raise settling_events and followed_events, or ask whether the model "
+        "suits the plant"
     )
 
 

@@ -203,8 +203,8 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at most",
             _DESIGN,
-            "largest closed-loop pole radius per cycle of any adapted mode at any speed, sensor "
-            "nominal",
+            "largest closed-loop pole radius per cycle of any adapted mode at any speed, plant "
+            "and sensors nominal",
         ),
         Requirement(
             "loop-worst-spectral-radius",
@@ -212,8 +212,9 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at most",
             _DESIGN,
-            "largest closed-loop pole radius per cycle of any adapted mode at any speed, over MAF "
-            "lag 10 to 20 ms, delay 0 to 3 ms and the bound on gain error",
+            "largest closed-loop pole radius per cycle of any adapted mode at any speed, over the "
+            "corners of the set with remainders of either sign (for the loop of event windows: MAF "
+            "lag 10 to 20 ms, delay 0 to 3 ms and the bound on gain error)",
         ),
         Requirement(
             "loop-gain-margin",
@@ -221,7 +222,7 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at least",
             _DESIGN,
-            "smallest gain margin (ratio) of any mode at any speed, sensor nominal",
+            "smallest gain margin (ratio) of any mode at any speed, plant and sensors nominal",
         ),
         Requirement(
             "loop-disk-margin",
@@ -230,7 +231,7 @@ REQUIREMENTS: dict[str, Requirement] = {
             "at least",
             _DESIGN,
             "smallest balanced disk margin of any mode at any speed (gain a factor 2, phase 37 "
-            "deg), sensor nominal",
+            "deg), plant and sensors nominal",
         ),
         Requirement(
             "loop-small-gain",
@@ -238,7 +239,8 @@ REQUIREMENTS: dict[str, Requirement] = {
             "1",
             "at most",
             _DESIGN,
-            "largest |w T| of any mode at any speed, w the bound on the relative gain error",
+            "largest |w T| of any mode at any speed, w the size of the whole set as one complex "
+            "number (for the loop of event windows: the bound on the relative gain error)",
         ),
         Requirement(
             "loop-robust-performance",
@@ -262,13 +264,14 @@ REQUIREMENTS: dict[str, Requirement] = {
         ),
         Requirement(
             "loop-tight",
-            25.0,
-            "%",
+            1.0,
+            "1",
             "at most",
             _DESIGN,
-            "largest deviation of the distance at which the full plant breaks along the worst "
-            "direction from the predicted one, with gains raised until the break is in reach; over "
-            "the speeds at which all modes are adapted",
+            "largest deviation of the break of the full plant from the predicted one, over the "
+            "allowed one, at every speed: by raised gains (10 % allowed); for the loop of event "
+            "windows along the worst direction, with gains raised until the break is in reach "
+            "(25 %), at the speeds at which all modes are adapted",
         ),
         Requirement(
             "loop-coverage",

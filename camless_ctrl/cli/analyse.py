@@ -1,7 +1,8 @@
-"""`camless analyse`: uncertainty of the mean-value plant, robust stability of the loop."""
+"""`camless analyse`: uncertainty of the mean-value plant, robustness of the controller's loop."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
     from uncertainty.deltas import AllDeltas
     from uncertainty.quantification_result import Quantification
 
+    from ..loop_verdict import LoopVerdict
+    from ..robust_analysis import RobustAnalysis
+    from ..robustness import RobustnessResult
+
 Speeds = Annotated[
     tuple[float, ...],
     Parameter(
@@ -43,20 +48,32 @@ def analyse(
     ] = True,
     robustness: Annotated[
         bool,
-        Parameter(help="Whether to analyse the loop against the structured uncertainty."),
+        Parameter(
+            help="Whether to confirm the structured singular value with sampled full plants, and "
+            "hold it against its requirements."
+        ),
     ] = True,
+    window: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Analyse the simple loop that is known in closed form instead: averages of the "
+            "air flow over event windows, scheduled gains.",
+        ),
+    ] = False,
     seed: Seed = 0,
     json: JsonFile = None,
     quiet: Quiet = False,
 ) -> int:
-    """Quantify the uncertainty of the mean-value plant, and analyse the air-charge loop.
+    """Quantify the uncertainty of the mean-value plant, and analyse the controller's loop.
 
     Uncertainty: deltas, weights with a guarantee that fresh full plants check, Sobol' indices.
-    Loop: poles, margins, and what they withstand, at each speed; then the structured singular
-    value, confirmed with sampled full plants. The exit status is 1 when a requirement on either
-    is not met.
+    Loop: that of the designed controller, with its estimator and its law at rest. Poles, margins,
+    and what they withstand, at each speed; then the structured singular value, confirmed with
+    sampled full plants. The exit status is 1 when a requirement on either is not met.
 
     Example: camless analyse --speed-rpm 1500 6000 --json analysis.json
+    Example: camless analyse --window --no-uncertainty
     """
     from plant._checks import in_range
     from plant._map_grid import SPEED_RANGE_RPM
@@ -65,50 +82,31 @@ def analyse(
     from ..assessment import as_dict, assess_robustness, assess_structured, assess_uncertainty
     from ..jsonable import to_json
     from ..output import reserved_file
-    from ..robust_analysis import analyse_robustness
-    from ..robustness import analyse as run
 
     at_least_one("--speed-rpm", speed_rpm)
     for speed in speed_rpm:
         in_range("--speed-rpm", speed, *SPEED_RANGE_RPM, "rpm", remedy="the maps end there")
     with reserved_file(json) as file:
         with bar("maps", quiet) as progress:
-            maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))
-            quantified = _quantify(maps, seed, progress) if uncertainty else None
-            results = run(
-                maps, speed_rpm, progress=lambda done, all_: progress("speeds", done, all_)
-            )
-            structured = None
-            if robustness:
-                structured = analyse_robustness(maps, speed_rpm, seed=seed, progress=progress)
+            maps = None
+            if uncertainty or window:
+                maps = MeanValuePlant.fit(progress=lambda done, all_: progress("maps", done, all_))
+            quantified = _quantify(maps, seed, progress) if maps and uncertainty else None
+            results: Sequence[RobustnessResult | LoopVerdict]
+            if maps is not None and window:
+                results, structured = _window(maps, speed_rpm, robustness, seed, progress)
+            else:
+                results, structured = _designed(speed_rpm, robustness, seed, progress)
         found = assess_robustness(results)
         if quantified is not None:
             found = [*assess_uncertainty(quantified[1]), *found]
         if structured is not None:
             found += assess_structured(structured)
         if file is not None:
-            speeds = [
-                {
-                    "speed_rpm": r.speed_rpm,
-                    "demand_mg": 1e6 * r.demand,
-                    "stable": r.stable,
-                    "robustly_stable": r.robustly_stable,
-                    "gain_margin": r.gain_margin,
-                    "disk_margin": r.disk_margin,
-                    "sensitivity_peak": r.sensitivity_peak,
-                    "gain_error": r.sensitivity_error,
-                    "small_gain": r.small_gain,
-                    "worst_spectral_radius": r.worst[0],
-                    "worst_lag_s": r.worst[1],
-                    "worst_delay_s": r.worst[2],
-                    "delay_limit_s": r.delay_limit,
-                    "delay_limit_mode": r.delay_limit_mode,
-                    "gains": r.gains,
-                    "modes": r.modes,
-                }
-                for r in results
-            ]
-            content: dict[str, Any] = {"speeds": speeds}
+            content: dict[str, Any] = {
+                "loop": "event windows" if window else "designed controller",
+                "speeds": [_speed(r) for r in results],
+            }
             if quantified is not None:
                 content["uncertainty"] = _content(*quantified)
             if structured is not None:
@@ -124,6 +122,64 @@ def analyse(
         console.print(str(structured), markup=False)
     print_requirements(console, found)
     return status(found)
+
+
+def _designed(
+    speeds_rpm: tuple[float, ...], robustness: bool, seed: int, progress: Bar
+) -> tuple[list[LoopVerdict], RobustAnalysis | None]:
+    """Loop of the designed controller: poles and margins, and the analysis if it is asked for."""
+    from .. import robust_analysis
+    from ..controller_design import design_controller
+    from ..loop_verdict import loop_verdicts
+
+    found = robust_analysis.analyse_robustness(
+        design_controller(progress=progress),
+        speeds_rpm,
+        confirm=robustness,
+        seed=seed,
+        progress=progress,
+    )
+    return loop_verdicts(found), found if robustness else None
+
+
+def _window(
+    maps: MeanValuePlant,
+    speeds_rpm: tuple[float, ...],
+    robustness: bool,
+    seed: int,
+    progress: Bar,
+) -> tuple[list[RobustnessResult], RobustAnalysis | None]:
+    """Loop of event windows, in closed form; and the analysis if it is asked for."""
+    from .. import robust_analysis
+    from ..robustness import analyse as run
+
+    results = run(maps, speeds_rpm, progress=lambda done, all_: progress("speeds", done, all_))
+    if not robustness:
+        return results, None
+    return results, robust_analysis.analyse_robustness(
+        maps, speeds_rpm, seed=seed, progress=progress
+    )
+
+
+def _speed(r: RobustnessResult | LoopVerdict) -> dict[str, Any]:
+    return {
+        "speed_rpm": r.speed_rpm,
+        "demand_mg": 1e6 * r.demand,
+        "stable": r.stable,
+        "robustly_stable": r.robustly_stable,
+        "gain_margin": r.gain_margin,
+        "disk_margin": r.disk_margin,
+        "sensitivity_peak": r.sensitivity_peak,
+        "gain_error": r.sensitivity_error,
+        "small_gain": r.small_gain,
+        "worst_spectral_radius": r.worst[0],
+        "worst_lag_s": r.worst[1],
+        "worst_delay_s": r.worst[2],
+        "delay_limit_s": r.delay_limit,
+        "delay_limit_mode": r.delay_limit_mode,
+        "gains": r.gains,
+        "modes": r.modes,
+    }
 
 
 def _quantify(

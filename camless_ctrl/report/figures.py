@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _REFERENCE = re.compile(r'(\bid="|xlink:href="#|\bhref="#|url\(#)')
+_COORDINATES = re.compile(r' (?:d|x|y)="[^"]*"')
+_LONG = re.compile(r"-?\d+\.\d{3,}")
 _METADATA = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
 
 
@@ -43,7 +45,14 @@ def svg(drawn: Figure | Axes, prefix: str) -> str:
     width = re.search(r'width="([\d.]+)pt"', head)
     head = re.sub(r' (width|height)="[\d.]+pt"', "", head)
     size = f' style="width:{float(width[1]) * 4 / 3:.0f}px"' if width else ""
+    # A hundredth of a point is far below what can be seen, and half of the page.
+    rest = _COORDINATES.sub(lambda found: _LONG.sub(_shorter, found[0]), rest)
     return _REFERENCE.sub(rf"\g<1>{prefix}-", f'{head}{size} aria-hidden="true">{rest}').strip()
+
+
+def _shorter(number: re.Match[str]) -> str:
+    """Round a coordinate to a hundredth of a point."""
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
 
 
 def side_by_side(count: int, height: float = 3.9) -> tuple[Figure, list[Axes]]:

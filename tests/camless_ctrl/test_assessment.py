@@ -9,8 +9,11 @@ from camless_ctrl.adaptation import GainSchedule
 from camless_ctrl.assessment import (
     as_dict,
     assess_boundary,
+    assess_estimation,
+    assess_feedforward,
     assess_load_step,
     assess_maps,
+    assess_performance,
     assess_robustness,
     assess_structured,
     assess_throttle_steps,
@@ -52,7 +55,7 @@ def quantified(ratio, p_value):
     return SimpleNamespace(channels=channels, least_ratio=ratio, coverage=coverage)
 
 
-def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9, p_value=0.5):
+def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9, p_value=0.5, gain=None):
     return SimpleNamespace(
         speed_rpm=rpm,
         structured=SimpleNamespace(
@@ -64,6 +67,7 @@ def analysed_speed(rpm, ceiling=0.8, linear=0, plants=0, ratio=0.9, p_value=0.5)
         plants=(None,) * 20,
         plant_violations=plants,
         tightness=None if ratio is None else SimpleNamespace(ratio=ratio, speed_rpm=rpm),
+        gain_break=None if gain is None else SimpleNamespace(ratio=gain, speed_rpm=rpm),
     )
 
 
@@ -120,12 +124,31 @@ def test_structured_robustness_is_judged_by_its_worst_speed_and_by_all_that_was_
     assert found["loop-sound"].note == "2 of 2000 linear members, 1 of 40 full plants"
     assert found["loop-coverage"].value == 0.002
     # At 4500 rpm the differences are held: told, but not counted.
-    assert found["loop-tight"].value == pytest.approx(30.0)
+    assert found["loop-tight"].value == pytest.approx(30.0 / 25.0)
     assert found["loop-tight"].note == (
-        "at 3000 rpm, of 2 speeds; the mean alone, not counted: 4500 rpm 50.0 %"
+        "distance 30.0 % off at 3000 rpm, of 2 speeds; the mean alone, not counted: 4500 rpm 50.0 %"
     )
     assert not any(row.met for row in found.values())
     assert all(row.met for row in assess_structured(analysed(analysed_speed(1500.0))))
+
+
+@pytest.mark.parametrize(("gains", "met"), [((1.09, 0.91), True), ((0.95, 1.11), False)])
+def test_break_by_gain_counts_at_every_speed(gains, met):
+    # At 6000 rpm the default schedule holds the differences, which says nothing of a design.
+    speeds = [
+        analysed_speed(r, ratio=None, gain=g) for r, g in zip((750.0, 6000.0), gains, strict=True)
+    ]
+    row = by_name(assess_structured(analysed(*speeds)))["loop-tight"]
+    assert row.met == met
+    assert row.value == pytest.approx(max(abs(g - 1.0) for g in gains) / 0.1)
+    assert row.note.endswith("of 2 speeds")
+
+
+def test_break_by_gain_must_be_tried_everywhere_and_be_found():
+    untried = [analysed_speed(750.0, ratio=None, gain=1.0), analysed_speed(6000.0, ratio=None)]
+    assert math.isnan(by_name(assess_structured(analysed(*untried)))["loop-tight"].value)
+    endless = analysed(analysed_speed(750.0, ratio=None, gain=math.inf))
+    assert not by_name(assess_structured(endless))["loop-tight"].met
 
 
 def test_structured_robustness_without_mu_or_break_is_not_met():
@@ -184,6 +207,10 @@ def test_every_requirement_is_assessed_by_one_function():
                             worst_charge="here", worst_loss="there")  # fmt: skip
     figures = [SimpleNamespace(relative_error=0.0, known_exception="")]
     step = SimpleNamespace(rms_each=np.array([0.01]), throttles_deg=(20.0, 40.0), speed_rpm=1500.0)
+    one = np.zeros(1)
+    path = SimpleNamespace(excess=one, charge=one, speed_rpm=one, worst=0.0)
+    estimate = SimpleNamespace(cylinder_errors=one, consistency=1.0, innovation_ratio=1.0,
+                               n_cylinders=4, point=SimpleNamespace(speed_rpm=1500.0))  # fmt: skip
     found = [
         *assess_validation(SimpleNamespace(figures=figures, claims=[], rms=0.0)),
         *assess_maps(error),
@@ -193,6 +220,9 @@ def test_every_requirement_is_assessed_by_one_function():
         *assess_robustness([speed(750, 0.5, 0.6)]),
         *assess_structured(analysed(analysed_speed(1500.0))),
         *assess_load_step([run_of([0.0] * 8)]),
+        *assess_feedforward(path),
+        *assess_estimation(SimpleNamespace(results=[estimate], worst_cylinder_error=0.0)),
+        *assess_performance(SimpleNamespace(of=lambda law: []), "law"),
     ]
     assert sorted(row.requirement.name for row in found) == sorted(REQUIREMENTS)
 

@@ -164,7 +164,15 @@ def _coarse_maps(monkeypatch):
     monkeypatch.setattr(MeanValuePlant, "fit", lambda **given: fit(**coarse, **given))
 
 
-@pytest.mark.usefixtures("_coarse_maps")
+@pytest.fixture
+def _known_design(monkeypatch, narrow_design):
+    """A design around 1500 rpm in place of one over all speeds."""
+    monkeypatch.setattr(
+        "camless_ctrl.controller_design.design_controller", lambda **given: narrow_design
+    )
+
+
+@pytest.mark.usefixtures("_known_design")
 def test_simulate_tells_balance_with_adaptation_and_its_lack_without(tmp_path, capsys):
     arguments = ["simulate", "--demand-mg", "170", "250", "--cycles", "80"]
     assert main([*arguments, "--json", "s.json"]) == 0
@@ -183,36 +191,49 @@ def test_simulate_tells_balance_with_adaptation_and_its_lack_without(tmp_path, c
     assert (demand[0], demand[-1]) == pytest.approx((170e-6, 250e-6))
 
 
-@pytest.mark.usefixtures("_coarse_maps")
-def test_analyse_reports_the_worst_speed(tmp_path, capsys):
-    status = main(
-        ["analyse", "--speed", "1500", "--no-uncertainty", "--no-robustness", "--json", "a.json"]
-    )
-    content = json.loads((tmp_path / "a.json").read_text())
-    assert not {"uncertainty", "robustness"} & set(content)
-    (speed,) = content["speeds"]
-    assert speed["speed_rpm"] == 1500.0
-    assert len(speed["modes"]) == 3  # of four cylinders: mean, once per cycle, alternating
-    assert status == int(not all(row["met"] for row in content["requirements"]))
-    names = {row["name"] for row in content["requirements"]}
-    structured = {"loop-robust-performance", "loop-sound", "loop-tight", "loop-coverage"}
-    assert names == {name for name in REQUIREMENTS if name.startswith("loop-")} - structured
-    assert "1500 rpm" in capsys.readouterr().out
+STRUCTURED = {"loop-robust-performance", "loop-sound", "loop-tight", "loop-coverage"}
+LOOP = {name for name in REQUIREMENTS if name.startswith("loop-")}
 
 
-@pytest.mark.usefixtures("_coarse_maps")
-def test_analyse_writes_the_robustness(tmp_path, monkeypatch):
+@pytest.fixture
+def _few_samples(monkeypatch):
     from camless_ctrl import robust_analysis
 
-    monkeypatch.setattr(robust_analysis, "LTI_SAMPLES", 50)
     whole = robust_analysis.analyse_robustness
 
     def small(maps, speeds, **options):
         return whole(maps, speeds, samples=2, **options)
 
+    monkeypatch.setattr(robust_analysis, "LTI_SAMPLES", 50)
     monkeypatch.setattr(robust_analysis, "analyse_robustness", small)
-    main(["analyse", "--speed", "1500", "--no-uncertainty", "--json", "a.json"])
+
+
+@pytest.mark.usefixtures("_coarse_maps")
+def test_analyse_of_the_window_loop_reports_the_worst_speed(tmp_path, capsys):
+    arguments = ["analyse", "--window", "--speed", "1500", "--no-uncertainty", "--no-robustness"]
+    status = main([*arguments, "--json", "a.json"])
     content = json.loads((tmp_path / "a.json").read_text())
+    assert not {"uncertainty", "robustness"} & set(content)
+    assert content["loop"] == "event windows"
+    (speed,) = content["speeds"]
+    assert speed["speed_rpm"] == 1500.0
+    assert speed["delay_limit_mode"] == 2  # the alternating mode breaks first
+    assert len(speed["modes"]) == 3  # of four cylinders: mean, once per cycle, alternating
+    assert status == int(not all(row["met"] for row in content["requirements"]))
+    assert {row["name"] for row in content["requirements"]} == LOOP - STRUCTURED
+    assert "1500 rpm" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("_known_design", "_few_samples")
+def test_analyse_writes_the_robustness_of_the_controller(tmp_path, capsys):
+    status = main(["analyse", "--speed", "1500", "--no-uncertainty", "--json", "a.json"])
+    content = json.loads((tmp_path / "a.json").read_text())
+    assert content["loop"] == "designed controller"
+    (found,) = content["speeds"]
+    # The gains are those of the converged law, far below the window loop's.
+    assert 0.0 < found["gains"]["imbalance"] < found["gains"]["mean"] < 0.3
+    assert all(mode["held"] is False for mode in found["modes"])
+    assert found["stable"] is found["robustly_stable"] is True
     (speed,) = content["robustness"]
     assert speed["speed_rpm"] == 1500.0
     assert speed["stable"] is True
@@ -220,13 +241,18 @@ def test_analyse_writes_the_robustness(tmp_path, monkeypatch):
     mu = speed["mu"]
     assert {"rs_upper", "rs_lower", "rp_upper", "rp_lower", "frequency"} <= set(mu)
     assert 0.0 < mu["rs_lower"] <= mu["rs_upper"] * (1.0 + 1e-9)
+    assert mu["rs_lower"] <= found["small_gain"] * (1.0 + 1e-9)
     assert speed["worst_case_gain"]["lower"] <= speed["worst_case_gain"]["upper"] * (1.0 + 1e-9)
     assert 0.0 < speed["disk_margin"]["all_cylinders"] <= 2.0
     confirmed = speed["confirmed"]
     assert (confirmed["sampled_lti"], confirmed["sampled_plant"]) == (50, 2)
     assert (confirmed["violations_lti"], confirmed["violations_plant"]) == (0, 0)
-    assert confirmed["predicted_margin"] > 0.0
-    assert confirmed["simulated_margin"] > 0.0
+    assert confirmed["gain_break"]["simulated"] == pytest.approx(
+        confirmed["gain_break"]["predicted"], rel=0.1
+    )
+    assert {row["name"] for row in content["requirements"]} == LOOP
+    assert status == int(not all(row["met"] for row in content["requirements"]))
+    assert "the description breaks with" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.usefixtures("_coarse_maps")
@@ -244,7 +270,8 @@ def test_analyse_writes_the_uncertainty(tmp_path, capsys, monkeypatch):
         )
 
     monkeypatch.setattr("camless_ctrl.cli.analyse._quantify", small)
-    main(["analyse", "--speed-rpm", "1500", "--no-robustness", "--json", "a.json"])
+    arguments = ["analyse", "--window", "--speed-rpm", "1500", "--no-robustness"]
+    main([*arguments, "--json", "a.json"])
     content = json.loads((tmp_path / "a.json").read_text())
     found = content["uncertainty"]
     assert set(found) == {"deltas", "weights", "coverage", "sobol"}

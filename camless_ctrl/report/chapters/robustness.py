@@ -1,22 +1,20 @@
-"""Chapter: robust stability of the air-charge loop, mode by mode, and its confirmation."""
+"""Chapter: a simple air-charge loop known in closed form, mode by mode, and its confirmation."""
 
 from __future__ import annotations
 
 import math
 
-from camless_ctrl.adaptation import AdaptationGains
-from camless_ctrl.assessment import assess_robustness, least
-from camless_ctrl.confirmation import GrowthCheck, PlantCheck, check_growth, check_plants
-from camless_ctrl.robustness import RobustnessResult, analyse, analyse_point
+from camless_ctrl.assessment import least
+from camless_ctrl.confirmation import PlantCheck, check_plants
+from camless_ctrl.robustness import RobustnessResult, analyse
 from plant.sensors import MAF_DELAYS, MAF_TIME_CONSTANTS
 
 from ..chapter import Context
 from ..content import Cell, ChapterResult, Column, Figure, Heading, Number, Table, Text
+from .held_differences import grow_beyond, growth_table, held_texts, try_held
 from .maps import mean_value_plant
 
 SAMPLES = 2  # full plants per speed
-DELAY_STEP = 0.5e-3  # s, either side of a predicted limit
-TRIAL_GAIN = 0.08  # per cycle, with which a held imbalance is tried
 _STABLE = ("stable", "unstable")
 _WITHSTOOD = ("withstood", "not withstood")
 
@@ -25,11 +23,11 @@ class RobustnessChapter:
     """Margins per speed and mode, gated on poles; sensor sweep; confirmation on full plants."""
 
     id = "robustness"
-    title = "Robust stability of the air-charge loop"
+    title = "A simple loop in closed form"
     concludes = False
 
     def compute(self, context: Context) -> ChapterResult:
-        """Analyse the loop at all speeds and run sampled full plants against the verdict."""
+        """Analyse the simple loop at all speeds and run sampled full plants against the verdict."""
         results = context.shared(
             "robustness", lambda: analyse(mean_value_plant(context), engine=context.engine)
         )
@@ -40,9 +38,9 @@ class RobustnessChapter:
             engine=context.engine,
             seed=context.seed,
         )
-        trials = _trials(results)
+        tried = try_held(results)
         held = [r for r in results if r.gains.imbalance == 0.0]
-        beyond = _beyond(context, trials)
+        grown = grow_beyond(context, tried)
         broken = [r for r in results if not r.robustly_stable]
         numbers = {
             "least_disk": Number(least(r.disk_margin for r in results)),
@@ -53,10 +51,10 @@ class RobustnessChapter:
         }
         return ChapterResult(
             finding=Text(
-                "The loop is robustly stable at {robust_speeds:.0f} of {speeds:.0f} speeds"
-                "{exceptions}; the smallest disk margin of the nominal loop is {least_disk:.2f}."
-                "{held}",
-                held=" Cylinders are not balanced at "
+                "A simple loop, which the controller does not use, is robustly stable at "
+                "{robust_speeds:.0f} of {speeds:.0f} speeds{exceptions}; its smallest nominal disk "
+                "margin is {least_disk:.2f}.{held}",
+                held=" It does not balance the cylinders at "
                 + " and ".join(f"{r.speed_rpm:.0f} rpm" for r in held)
                 + ": there their differences are held as learnt."
                 if held
@@ -69,6 +67,15 @@ class RobustnessChapter:
                 **numbers,
             ),
             blocks=[
+                Text(
+                    "The controller's own loop is analysed in the next chapter; its estimator has "
+                    "no closed form. This one has: a window on the air flow of each event, a "
+                    "scheduled lift, integral correction with scheduled gains, known from the "
+                    "sensor's formula to the last pole. It is kept beside the controller's for "
+                    "insight: what delay does to the imbalance modes can be read off here, and "
+                    "why the controller looks at the manifold pressure and learns the delay. No "
+                    "requirement rests on it."
+                ),
                 Text(
                     "The loop lives in the domain of intake events: each cylinder returns once per "
                     "cycle, and for equal cylinders the loop splits into circulant modes, the mean "
@@ -86,17 +93,16 @@ class RobustnessChapter:
                     delay_high=Number(1e3 * MAF_DELAYS[-1], "ms"),
                 ),
                 _verdict(results),
-                *_held(trials),
+                *held_texts(tried),
                 _speeds(results),
-                _figure(context, results, trials),
+                _figure(context, results, tried),
                 _modes(results),
                 Heading("Confirmation on the full plant"),
                 _confirmation_text(checks),
                 _confirmation(checks),
-                *_growth_text(beyond),
+                *growth_table(grown),
             ],
             numbers=numbers,
-            requirements=assess_robustness(results),
         )
 
 
@@ -227,91 +233,6 @@ def _figure(
         "speeds, with the stability limit at one and the assumed range of delay shaded.",
         context.draw(figure),
     )
-
-
-def _trials(results: list[RobustnessResult]) -> list[RobustnessResult]:
-    """Analyse the speeds at which imbalance is held as if it were adapted."""
-    return [
-        analyse_point(
-            r.local,
-            r.demand,
-            r.estimator,
-            AdaptationGains(r.gains.mean, TRIAL_GAIN),
-            r.sensitivity_error,
-        )
-        for r in results
-        if r.gains.imbalance == 0.0
-    ]
-
-
-def _beyond(context: Context, trials: list[RobustnessResult]) -> list[GrowthCheck]:
-    """Grow the alternating mode on the full plant on both sides of the predicted limit."""
-    return [
-        check_growth(
-            r,
-            mean_value_plant(context),
-            r.delay_limit_mode,
-            delay=r.delay_limit + beyond,
-            engine=context.engine,
-        )
-        for r in trials
-        if math.isfinite(r.delay_limit)
-        for beyond in (-DELAY_STEP, DELAY_STEP)
-    ]
-
-
-def _growth_text(checks: list[GrowthCheck]) -> list[Table]:
-    if not checks:
-        return []
-    return [
-        Table(
-            "growth",
-            Text(
-                "Beyond the verdict: were imbalance adapted at the speeds at which it is held, a "
-                "small disturbance of its mode on both sides of the predicted delay limit, as "
-                "predicted and on the full plant."
-            ),
-            [
-                Column("speed", "rpm", ".0f"),
-                Column("mode"),
-                Column("delay", "ms", ".2f"),
-                Column("predicted factor", "per cycle", ".4f"),
-                Column("simulated factor", "per cycle", ".4f"),
-                Column("outcome", words=("dies out", "diverges")),
-                Column("prediction", words=("agrees", "disagrees")),
-            ],
-            [
-                [
-                    check.speed_rpm,
-                    f"q={check.q}",
-                    1e3 * check.delay,
-                    check.predicted,
-                    check.simulated,
-                    check.simulated < 1.0,
-                    check.agrees,
-                ]
-                for check in checks
-            ],
-        )
-    ]
-
-
-def _held(trials: list[RobustnessResult]) -> list[Text]:
-    return [
-        Text(
-            "At {speed:.0f} the differences between cylinders are held as learnt, not adapted: "
-            "adapted with a gain of {gain:.2f} per cycle they would reach a spectral radius of "
-            "{radius:.3f} at a lag of {lag:.0f} and a delay of {delay:.1f}, because the delay "
-            "turns the sign of the alternating mode and a smaller gain only slows its growth.",
-            speed=Number(r.speed_rpm, "rpm"),
-            gain=Number(TRIAL_GAIN),
-            radius=Number(r.worst[0]),
-            lag=Number(1e3 * r.worst[1], "ms"),
-            delay=Number(1e3 * r.worst[2], "ms"),
-        )
-        for r in trials
-        if not r.withstands_sensor
-    ]
 
 
 def _limit(result: RobustnessResult) -> str:

@@ -1,25 +1,24 @@
-"""Chapter: what the loop withstands of its structured uncertainty, confirmed on full plants."""
+"""Chapter: what the controller's loop withstands of its uncertainty, confirmed on full plants."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from camless_ctrl.assessment import assess_structured
+from camless_ctrl.assessment import assess_robustness, assess_structured
 from camless_ctrl.delay_boundary import delay_boundary
 from camless_ctrl.feedforward import Feedforward
-from camless_ctrl.gain_synthesis import design_schedule
-from camless_ctrl.law_comparison import LawComparison, compare_laws, standard_laws
+from camless_ctrl.loop_verdict import LoopVerdict, loop_verdicts
 from camless_ctrl.robust_analysis import RobustAnalysis, analyse_robustness
-from camless_ctrl.synthesis import SynthesisError
-from camless_ctrl.tightness import TightnessCheck
 from plant import CrankAnglePlant
 
 from ..chapter import Context
 from ..content import Block, Cell, ChapterResult, Column, Figure, Heading, Number, Table, Text
+from .feedforward import controller_design
 from .maps import mean_value_plant
+from .other_laws import other_laws
+from .structured_confirmation import sound, sound_figure, tight
 
+PLANTS = 4  # full plants at each speed; `camless analyse` runs twenty
 COMPARED_RPM = 1500.0  # speed at which the laws are compared
 
 
@@ -27,20 +26,18 @@ class StructuredRobustnessChapter:
     """Structured singular value, worst case, confirmation, and the laws that could be used."""
 
     id = "structured-robustness"
-    title = "Structured robustness, confirmed on the full plant"
+    title = "Robustness of the controller, confirmed on the full plant"
     concludes = False
 
     def compute(self, context: Context) -> ChapterResult:
-        """Analyse the loop at all speeds, confirm it, and compare laws."""
-        maps = mean_value_plant(context)
+        """Analyse the designed controller at all speeds, confirm it, and compare laws."""
         found = context.shared(
             "structured",
-            lambda: analyse_robustness(maps, engine=context.engine, seed=context.seed),
+            lambda: analyse_robustness(
+                controller_design(context), samples=PLANTS, seed=context.seed
+            ),
         )
-        boundary = delay_boundary(
-            Feedforward(maps, valvetrain=context.engine.valvetrain),
-            plant=CrankAnglePlant(context.engine, oscillation=True),
-        )
+        verdicts = loop_verdicts(found)
         robust = [s for s in found.speeds if s.structured.robust_performance]
         worst = max(found.speeds, key=lambda s: s.structured.worst_sensitivity[1])
         least = min(found.speeds, key=lambda s: s.structured.margin)
@@ -55,58 +52,106 @@ class StructuredRobustnessChapter:
             "members": Number(sum(s.lti.samples for s in found.speeds if s.lti)),
             "member_violations": Number(sum(s.lti.violations for s in found.speeds if s.lti)),
         }
-        tight = [s.tightness for s in found.speeds if s.tightness is not None]
         return ChapterResult(
             finding=Text(
                 "At {robust_speeds:.0f} of {speeds:.0f} speeds it is proved that nothing in the "
-                "linear description of the assumed set amplifies an error more than twice; the "
-                "smallest margin is {margin:.2f} times the set, at {margin_speed:.0f}. Of "
-                "{plants:.0f} sampled full plants in closed loop {plant_violations:.0f} are "
-                "unstable or beyond the bound of their speed.",
+                "linear description of the assumed set amplifies a charge error more than twice, "
+                "all cylinders balanced; the smallest margin is {margin:.2f} times the set, at "
+                "{margin_speed:.0f}. Of {plants:.0f} sampled full plants in closed loop "
+                "{plant_violations:.0f} are unstable or beyond the bound of their speed.",
                 **numbers,
             ),
             blocks=[
                 Text(
-                    "What the estimator sees of a correction is taken from sampled full plants, "
-                    "each settled as its own adaptation would settle it. Temperature, flow "
-                    "coefficient, lag and delay of the air-flow sensor are real parameters with a "
-                    "direction of their own; what is left of all samples is a complex remainder, "
-                    "sized to cover a claimed share of the set, which fresh plants check. "
-                    "The structured singular value (mu) tells how many times that set is "
-                    "withstood; its upper bound is proved between the frequencies too, its lower "
-                    "bound comes with the perturbation that destabilises. Performance asks that "
-                    "no disturbance of the charge is amplified more than twice."
+                    "This is the loop of the controller itself: motions of least pumping loss, "
+                    "the Kalman filter on the samples of air flow and manifold pressure inside "
+                    "the event, which learns lag and delay of the air-flow sensor, and the "
+                    "adaptation law. Once it has converged, the law is an integral correction "
+                    "with small gains, one for the mean and one for the differences, adapted at "
+                    "every speed. The filter has no closed form: full plants are shown to it, "
+                    "and its response to a changed motion is what the loop is made of."
+                ),
+                _gains_text(found),
+                Text(
+                    "That is done for plants sampled from the whole set, each settled as its own "
+                    "adaptation would settle it. Temperature, flow coefficient, lag and delay of "
+                    "the air-flow sensor are real parameters with a direction of their own; what "
+                    "is left of all samples, offset and lag of the pressure sensor included, is a "
+                    "complex remainder, sized to cover a claimed share of the set, which fresh "
+                    "plants check. The structured singular value (mu) tells how many times that "
+                    "set is withstood; its upper bound is proved between the frequencies too, its "
+                    "lower bound comes with the perturbation that destabilises. Performance asks "
+                    "that no disturbance of the charge is amplified more than twice."
                 ),
                 _verdicts(found),
                 _mu_figure(context, found),
                 _step_figure(context, found),
-                _margins(found),
+                _margins(found, verdicts),
                 Heading("Confirmed on the full plant"),
-                _sound(found, numbers),
-                _sound_figure(context, found),
-                *_tight(context, tight),
-                Heading("Where delay breaks the imbalance modes"),
-                Figure(
-                    "delay-boundary",
-                    Text(
-                        "Delay of the air-flow sensor up to which the imbalance modes are stable, "
-                        "were they adapted at every speed, with event averages and with samples "
-                        "inside the event; {agreeing:.0f} of {runs:.0f} runs of the full plant on "
-                        "either side of the limits come out as predicted. Inside the event the "
-                        "modes bear several times more delay.",
-                        agreeing=Number(boundary.agreeing),
-                        runs=Number(len(boundary.runs)),
-                    ),
-                    "Largest sensor delay against speed for modes q = 1 and q = 2, predicted lines "
-                    "and simulated marks, for two estimators.",
-                    context.draw(boundary.plot()),
-                ),
+                sound(found, numbers),
+                sound_figure(context, found),
+                *tight(found),
+                Heading("Why the estimator looks inside the event"),
+                *_delay_boundary(context),
                 Heading("Other laws"),
-                *_other_laws(context, found),
+                *other_laws(context, found, COMPARED_RPM),
             ],
             numbers=numbers,
-            requirements=assess_structured(found),
+            requirements=[*assess_robustness(verdicts), *assess_structured(found)],
         )
+
+
+def _gains_text(found: RobustAnalysis) -> Text:
+    beyond = max(found.speeds, key=lambda s: s.measurement.beyond_reach)
+    gains = [found.schedule.at(s.speed_rpm) for s in found.speeds]
+    told = {
+        "mean_low": Number(min(g.mean for g in gains)),
+        "mean_high": Number(max(g.mean for g in gains)),
+        "differences_low": Number(min(g.imbalance for g in gains)),
+        "differences_high": Number(max(g.imbalance for g in gains)),
+    }
+    return Text(
+        "The gains per cycle follow from the law's covariances at rest: {mean_low:.3f} to "
+        "{mean_high:.3f} for the mean, {differences_low:.3f} to {differences_high:.3f} for the "
+        "differences. At the start, when little is known, they are larger. A flow gain may be "
+        "learnt within bounds only: at {beyond_speed:.0f} {beyond:.0f} sampled plants, the most "
+        "of all speeds, meet the demand only beyond them. There the law stops at its bound, "
+        "stable and off the demand; the description goes on.",
+        beyond=Number(beyond.measurement.beyond_reach),
+        beyond_speed=Number(beyond.speed_rpm, "rpm"),
+        **told,
+    )
+
+
+def _delay_boundary(context: Context) -> list[Block]:
+    boundary = delay_boundary(
+        Feedforward(mean_value_plant(context), valvetrain=context.engine.valvetrain),
+        plant=CrankAnglePlant(context.engine, oscillation=True),
+    )
+    return [
+        Text(
+            "This section is not about the controller's loop. It shows, on two simple estimators "
+            "that do not learn the sensor and are known in closed form, why averages over events "
+            "do not do: delay and lag of the air-flow sensor carry the share of one cylinder into "
+            "the next event's average, until the alternating mode is seen with the wrong sign. "
+            "Samples inside the event bear several times more delay; the filter bears the rest by "
+            "learning it, and by the manifold pressure."
+        ),
+        Figure(
+            "delay-boundary",
+            Text(
+                "Simple estimators: delay of the air-flow sensor up to which the imbalance modes "
+                "are stable, were they adapted at every speed, with event averages and with "
+                "samples inside the event; {agreeing:.0f} of {runs:.0f} runs of the full plant on "
+                "either side of the limits come out as predicted.",
+                agreeing=Number(boundary.agreeing),
+                runs=Number(len(boundary.runs)),
+            ),
+            "Largest sensor delay against speed for modes q = 1 and q = 2, predicted lines and "
+            "simulated marks, for two estimators.",
+            context.draw(boundary.plot()),
+        ),
+    ]
 
 
 def _verdicts(found: RobustAnalysis) -> Table:
@@ -198,189 +243,47 @@ def _step_figure(context: Context, found: RobustAnalysis) -> Figure:
     )
 
 
-def _margins(found: RobustAnalysis) -> Table:
+def _margins(found: RobustAnalysis, verdicts: list[LoopVerdict]) -> Table:
     rows: list[list[Cell]] = []
-    for s in found.speeds:
+    for s, v in zip(found.speeds, verdicts, strict=True):
         m = s.margins
-        one = min((c.alpha for c in m.one_at_a_time), default=float("nan"))
-        delay = m.delay.sensor_delay
         rows.append(
             [
                 s.speed_rpm,
+                v.gains.mean,
+                v.gains.imbalance,
+                max(mode.spectral_radius for mode in v.modes),
+                v.worst[0],
                 *(s.gang.peak(f).value for f in ("S", "T", "CS", "PS")),
-                one,
+                v.gain_margin,
+                min((c.alpha for c in m.one_at_a_time), default=float("nan")),
                 m.all_loops.alpha,
-                1e3 * delay if np.isfinite(delay) else None,
+                v.small_gain,
             ]
         )
     return Table(
         "structured-margins",
         Text(
-            "The nominal loop: peaks of the gang of four over all modes, disk margin of one "
-            "cylinder at a time and of all at once, and the delay of the air-flow sensor at which "
-            "it breaks (none: not up to 20 ms)."
+            "The loop of the nominal plant: gains per cycle with which the converged law moves "
+            "mean and differences, largest pole radius per cycle (nominal, and at the worst corner "
+            "of the set), peaks of the gang of four over all modes, gain margin, disk margin of "
+            "one cylinder at a time and of all at once; and |wT| with the whole set taken as one "
+            "complex number, which mu refines."
         ),
         [
             Column("speed", "rpm", ".0f"),
+            Column("gain, mean", "per cycle", ".3f"),
+            Column("gain, imbalance", "per cycle", ".3f"),
+            Column("radius", "per cycle", ".3f"),
+            Column("radius, corners", "per cycle", ".3f"),
             Column("|S|", "1", ".2f"),
             Column("|T|", "1", ".2f"),
             Column("|CS|", "1", ".2f"),
             Column("|PS|", "1", ".2f"),
+            Column("gain margin", "ratio", ".1f"),
             Column("disk, one cylinder", "1", ".2f"),
             Column("disk, all cylinders", "1", ".2f"),
-            Column("delay limit", "ms", ".1f"),
+            Column("|wT|", "1", ".2f"),
         ],
         rows,
     )
-
-
-def _sound(found: RobustAnalysis, numbers: dict[str, Number]) -> Text:
-    return Text(
-        "Sound: {members:.0f} linear members of the sets, half of them at corners, and "
-        "{plants:.0f} full plants drawn from the whole set run in closed loop from their own "
-        "equilibrium. {member_violations:.0f} and {plant_violations:.0f} are unstable or amplify "
-        "an error more than was proved at their speed.",
-        **{
-            name: numbers[name]
-            for name in ("members", "plants", "member_violations", "plant_violations")
-        },
-    )
-
-
-def _sound_figure(context: Context, found: RobustAnalysis) -> Figure:
-    if found.plants is None:
-        raise ValueError("the analysis was not confirmed")
-    growth = max(s.worst_growth for s in found.plants.runs)
-    return Figure(
-        "structured-sound",
-        Text(
-            "Growth per cycle of a small disturbance on the sampled full plants against the radius "
-            "that the description predicts for their parameters; the slowest decays with "
-            "{growth:.2f} per cycle.",
-            growth=Number(growth),
-        ),
-        "Growth on the full plant against predicted spectral radius, one mark a plant.",
-        context.draw(found.plants.plot()),
-    )
-
-
-def _tight(context: Context, checks: list[TightnessCheck]) -> list[Block]:
-    if not checks:
-        return []
-    rows: list[list[Cell]] = [
-        [t.speed_rpm, t.gain_factor, t.predicted, t.simulated, t.ratio, bool(t.tight)]
-        for t in checks
-    ]
-    return [
-        Table(
-            "structured-tight",
-            Text(
-                "Tight: with gains raised until the worst corner of the parameters breaks within "
-                "reach, the full plant is driven along the predicted worst direction until its "
-                "closed loop loses stability. Distances are multiples of the assumed bounds, "
-                "without the remainder, which no plant can be given."
-            ),
-            [
-                Column("speed", "rpm", ".0f"),
-                Column("gains x", "1", ".2f"),
-                Column("predicted", "sets", ".3f"),
-                Column("full plant", "sets", ".3f"),
-                Column("ratio", "1", ".3f"),
-                Column("within 25 %", words=("yes", "no")),
-            ],
-            rows,
-        ),
-        Figure(
-            "structured-tight-growth",
-            Text(
-                "Growth per cycle of the modes along the worst direction at {tight_speed:.0f}: "
-                "lines as predicted, marks on the full plant.",
-                tight_speed=Number(checks[0].speed_rpm, "rpm"),
-            ),
-            "Growth per cycle against distance along the worst direction.",
-            context.draw(checks[0].plot()),
-        ),
-    ]
-
-
-def _other_laws(context: Context, found: RobustAnalysis) -> list[Block]:
-    """Designed gains, and the laws compared; or why there is none."""
-    compared = [m for m in found.measurements if m.speed_rpm == COMPARED_RPM]
-    measurement = compared[0] if compared else found.measurements[0]
-    try:
-        design = design_schedule(found.measurements, confirm=False)
-        laws = compare_laws(measurement, standard_laws(measurement), worst_case=False)
-    except SynthesisError as error:
-        return [Text("No other law was found: {reason}", reason=str(error))]
-    return [
-        Figure(
-            "designed-gains",
-            Text(
-                "Fastest gains with robust performance at each speed, beside those in use. Those "
-                "in use are lower on purpose: noise of the estimate grows with the gain. Where "
-                "the measurement of an imbalance mode vanishes for an engine of the set, no gain "
-                "is robust and the differences are held."
-            ),
-            "Gains of mean and imbalance against speed, designed and in use.",
-            context.draw(design.plot()),
-        ),
-        _laws(laws),
-        Figure(
-            "laws",
-            Text(
-                "Sensitivity of the four laws at {laws_speed:.0f}, in the middle of the set and at "
-                "its worst.",
-                laws_speed=Number(measurement.speed_rpm, "rpm"),
-            ),
-            "Size of the sensitivity function over the angle per event for each law.",
-            context.draw(laws.plot()),
-        ),
-    ]
-
-
-def _laws(laws: LawComparison) -> Table:
-    rows: list[list[Cell]] = [
-        [
-            law.name,
-            float(law.order),
-            law.robust,
-            law.mu_performance if np.isfinite(law.mu_performance) else None,
-            law.peak,
-            law.worst_peak if np.isfinite(law.worst_peak) else None,
-            law.disk_margin,
-            law.noise,
-            _slowest(law.settling_cycles, law.held),
-            _slowest(law.worst_settling_cycles, law.held),
-        ]
-        for law in laws.laws
-    ]
-    return Table(
-        "laws-table",
-        Text(
-            "Laws at {table_speed:.0f}: the adaptation with the gains in use and with designed "
-            "ones, an H-infinity and a D-K law (orders reduced). Mu and the worst case are exact "
-            "on a fine grid of angles, not proved between them. Noise is the standard deviation "
-            "of the correction for white noise of the estimate; settling is to 2 % of the slowest "
-            "adapted mode, in the middle of the set and at the slowest corner.",
-            table_speed=Number(laws.measurement.speed_rpm, "rpm"),
-        ),
-        [
-            Column("law"),
-            Column("order", "1", ".0f"),
-            Column("mu below 1", words=("yes", "no")),
-            Column("mu performance", "1", ".3f"),
-            Column("|S| middle", "1", ".2f"),
-            Column("|S| worst", "1", ".2f"),
-            Column("disk margin", "1", ".2f"),
-            Column("noise", "1", ".2f"),
-            Column("settling", "cycles", ".1f"),
-            Column("settling, slowest", "cycles", ".1f"),
-        ],
-        rows,
-    )
-
-
-def _slowest(cycles: Sequence[float], held: Sequence[bool]) -> float | None:
-    """Slowest mode of those that are adapted; None if it never settles."""
-    found = max(c for c, kept in zip(cycles, held, strict=True) if not kept)
-    return found if np.isfinite(found) else None

@@ -28,6 +28,8 @@ from .estimator import ChargeEstimator
 from .feedforward import Feedforward
 from .gain_break import GainBreak, check_gain_break
 from .gang_of_four import gang_of_four
+from .mu.result import MuResult
+from .mu.worst_case import WorstCaseGain
 from .robustness import SPEEDS_RPM, demand_at
 from .soundness import (
     SampledPlantsCheck,
@@ -35,7 +37,7 @@ from .soundness import (
     check_sampled_plants,
 )
 from .speed_analysis import SpeedAnalysis
-from .structured_robustness import analyse_structured
+from .structured_robustness import StructuredRobustness, analyse_structured
 from .tightness import TightnessCheck, check_tightness
 from .uncertain_loop import SENSITIVITY_BOUND, UncertainLoop
 from .uncertain_measurement import UncertainMeasurement
@@ -160,25 +162,27 @@ def analyse_robustness(
     plant, controlled = _controlled(maps, engine, estimator, gains, adaptation)
     found: list[SpeedAnalysis] = []
     own: dict[float, AdaptationGains] = {}
-    count = len(speeds_rpm)
-    for k, speed in enumerate(speeds_rpm):
-        if progress is not None:
-            progress("robustness", k, count)
-        measurement = controlled.measurement(demand(speed), speed, uncertain, seed)
+    described = in_processes(
+        _describe,
+        [
+            _Point(controlled, demand(speed), speed, uncertain, sensitivity_bound, seed)
+            for speed in speeds_rpm
+        ],
+        processes,
+        None if progress is None else lambda done, total: progress("robustness", done, total),
+    )
+    for speed, (measurement, structured) in zip(speeds_rpm, described, strict=True):
         own[speed] = controlled.gains(measurement)
-
         nominal = controlled.nominal(measurement, own[speed])
         loop = UncertainLoop.adaptive(measurement, own[speed], sensitivity_bound)
         found.append(
             SpeedAnalysis(
-                analyse_structured(loop, seed=seed),
+                structured.of_loop(loop),
                 gang_of_four(nominal),
                 disk_margins(nominal, at_delay=controlled.at_delay(measurement, own[speed])),
             )
         )
     schedule = _schedule(controlled, own)
-    if progress is not None:
-        progress("robustness", count, count)
     if not confirm:
         return RobustAnalysis(tuple(found), schedule, None, seed)
 
@@ -280,6 +284,56 @@ def _schedule(controlled: AnalysedControl, gains: dict[float, AdaptationGains]) 
         tuple(speeds),
         tuple(gains[s].mean for s in speeds),
         tuple(gains[s].imbalance for s in speeds),
+    )
+
+
+@dataclass(frozen=True)
+class _Point:
+    """What the analysis at one speed needs; small enough for another process."""
+
+    controlled: AnalysedControl
+    demand: float
+    speed_rpm: float
+    uncertain: UncertaintySet | None
+    sensitivity_bound: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class _Singular:
+    """What `StructuredRobustness` holds beside its loop, which another process cannot send."""
+
+    stability: MuResult | None
+    performance: MuResult | None
+    worst_gain: WorstCaseGain | None
+    nominal_peak: float
+
+    def of_loop(self, loop: UncertainLoop) -> StructuredRobustness:
+        """Return the whole, with the loop that it was found of."""
+        worst = self.worst_gain
+        return StructuredRobustness(
+            loop,
+            self.stability,
+            self.performance,
+            None if worst is None else replace(worst, system=loop.system),
+            self.nominal_peak,
+        )
+
+
+def _describe(point: _Point) -> tuple[UncertainMeasurement, _Singular]:
+    """Measurement at a speed, and the singular values of the loop with it."""
+    measurement = point.controlled.measurement(
+        point.demand, point.speed_rpm, point.uncertain, point.seed
+    )
+    gains = point.controlled.gains(measurement)
+    loop = UncertainLoop.adaptive(measurement, gains, point.sensitivity_bound)
+    found = analyse_structured(loop, seed=point.seed)
+    worst = found.worst_gain
+    return measurement, _Singular(
+        found.stability,
+        found.performance,
+        None if worst is None else replace(worst, system=None),
+        found.nominal_peak,
     )
 
 

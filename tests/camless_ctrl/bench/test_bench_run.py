@@ -77,6 +77,7 @@ def test_goals_are_shown_met_or_missed(result):
         "thread-efficiency": 0.85,
         "import": 0.5,
         "first-cycle": 0.5,
+        "controller-update": 50.0,
     }
     assert {name: found.requirement.bound for name, found in goals.items()} == bounds
     assert goals["kernel-charge"].value == pytest.approx(

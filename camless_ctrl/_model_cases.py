@@ -19,7 +19,8 @@ from .adaptation import AdaptationGains, GainSchedule
 from .adaptation_laws import ParameterBounds
 from .charge_model import ChargeModel
 from .command_limits import CommandLimits
-from .controller import Adaptation, AirChargeController, ControllerState, Estimator
+from .controller import AirChargeController, ControllerState
+from .controller_parts import Adaptation, Estimator
 from .cylinder_parameters import CylinderParameters, ParameterSet
 from .estimator_response import SETTLING_EVENTS, AnalysedEstimator
 from .integral_adaptation import IntegralAdaptation

@@ -38,7 +38,7 @@ from uncertainty.pulse_sampling import SAMPLES
 from uncertainty.sampling import Sample, nominal_sample
 
 from ._sampled_estimates import TRIMMED
-from .controller import ChargeModel, Estimator
+from .controller_parts import ChargeModel, Estimator
 from .cylinder_parameters import CylinderParameters
 from .estimator_response import (
     AnalysedEstimator,

@@ -19,8 +19,8 @@ from ._loop_cases import at_speed
 from ._sampled_loops import ModelLoops
 from .adaptation import AdaptationGains, GainSchedule
 from .charge_model import ChargeModel
-from .controller import Adaptation
 from .controller_design import ControllerDesign
+from .controller_parts import Adaptation
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward
 from .gradient_adaptation import GradientAdaptation

@@ -10,7 +10,8 @@ from plant.sensors import SensorSet
 
 from .charge_model import ChargeModel
 from .command_limits import CommandLimits
-from .controller import Adaptation, AirChargeController
+from .controller import AirChargeController
+from .controller_parts import Adaptation
 from .kalman_adaptation import KalmanAdaptation
 from .kalman_estimator import KalmanEstimator
 from .least_loss_motion import FeedforwardOptions

@@ -26,7 +26,7 @@ from plant.kinematics import FloatArray
 from plant.sensors import AirSensor, MapSensor
 from uncertainty.motion_pulses import FollowedPlant
 
-from .controller import Estimator
+from .controller_parts import Estimator
 from .cylinder_parameters import CylinderParameters
 from .event_data import ChargeEstimate, EventRecord, Measurement, ModelPoint
 from .kalman_estimator import KalmanEstimator

@@ -21,8 +21,8 @@ from ._processes import in_processes
 from .adaptation import AdaptationGains, GainSchedule
 from .analysed_control import AnalysedControl, DesignedControl, WindowControl
 from .charge_model import ChargeModel
-from .controller import Adaptation
 from .controller_design import ControllerDesign
+from .controller_parts import Adaptation
 from .disk_margins import disk_margins
 from .estimator import ChargeEstimator
 from .feedforward import Feedforward

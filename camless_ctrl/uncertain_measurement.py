@@ -33,7 +33,7 @@ from uncertainty.weights import fit_weight
 
 from ._sampled_estimates import TRIMMED, WindowLoops
 from ._sampled_loops import ModelLoops, SampledLoops
-from .controller import ChargeModel, Estimator
+from .controller_parts import ChargeModel, Estimator
 from .estimator import ChargeEstimator
 from .estimator_response import LatentEstimator
 from .feedforward import Feedforward

@@ -24,6 +24,7 @@ JITTER = 0.05e-3  # s, 1 sigma, assumed of the actuator
 LATE_VALVE = (0.0, 0.2e-3, 0.0, 0.0)  # s
 WEAK_CYLINDER = (1.03, 0.85, 0.96, 1.05)  # true over nominal flow coefficient of each cylinder
 LOSS_POINTS = ((120.0, 750.0), (250.0, 1500.0), (350.0, 3000.0), (300.0, 6000.0))  # mg, rpm
+LOSS = "pumping loss"  # with which the names of those cases begin
 SETTLED = 20  # cycles before losses are averaged
 WARM_UP = 60  # cycles before a case that starts adapted
 EXHAUST_OVER_AMBIENT = 1e4  # Pa, as in the paper's engine
@@ -229,7 +230,7 @@ def performance_cases(
         ),
         *(
             case(
-                f"pumping loss, {r.demand / mg:.0f} mg, {r.speed_rpm:g} rpm",
+                f"{LOSS}, {r.demand / mg:.0f} mg, {r.speed_rpm:g} rpm",
                 base,
                 np.full((SETTLED + AVERAGED) * n, r.demand),
                 r.speed_rpm,

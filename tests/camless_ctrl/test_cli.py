@@ -191,6 +191,34 @@ def test_simulate_tells_balance_with_adaptation_and_its_lack_without(tmp_path, c
     assert (demand[0], demand[-1]) == pytest.approx((170e-6, 250e-6))
 
 
+@pytest.mark.usefixtures("_known_design")
+def test_simulate_bars_writes_every_figure_of_every_law(tmp_path, capsys, monkeypatch):
+    from camless_ctrl import baselines, performance
+
+    measure = performance.measure_performance
+
+    def one_case(controllers, design, **given):
+        cases = ["unequal flow -15 %, +-5 %, 1500 rpm"]
+        return measure(controllers, design, cases=cases, processes=1, **given)
+
+    monkeypatch.setattr(performance, "measure_performance", one_case)
+    monkeypatch.setattr(baselines, "lti_controller", lambda design, **_: design.feedforward_alone())
+    assert main(["simulate", "--bars", "--seeds", "1", "--json", "b.json"]) == 0
+    rows = json.loads((tmp_path / "b.json").read_text())["cases"]
+    assert {row["law"] for row in rows} == {
+        baselines.ADAPTIVE,
+        baselines.GRADIENT,
+        baselines.INTEGRAL,
+        baselines.LTI,
+        baselines.FEEDFORWARD,
+    }
+    assert len(rows) == 10
+    assert all({"name", "law", "median", "worst", "bar", "met"} <= set(row) for row in rows)
+    alone = [row["met"] for row in rows if row["law"] == baselines.FEEDFORWARD]
+    assert alone == [False, False]
+    assert "controller-bars" in capsys.readouterr().out
+
+
 STRUCTURED = {"loop-robust-performance", "loop-sound", "loop-tight", "loop-coverage"}
 LOOP = {name for name in REQUIREMENTS if name.startswith("loop-")}
 

@@ -90,15 +90,27 @@ class FeedforwardCheck:
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the excess over speed and charge; return the axes."""
-        from plant._plotting import axes, styled
+        from plant._plotting import COLOURS, axes, styled
 
+        shown = 100.0 * self.excess
         with styled():
             ax = axes(ax)
-            shown = 100.0 * self.excess
-            dots = ax.scatter(
-                self.speed_rpm, 1e6 * self.charge, c=shown, vmin=0.0, vmax=100.0 * BAR, s=26
-            )
-            ax.figure.colorbar(dots, ax=ax, label="loss above the best (%)", extend="both")
+            for colour, low, high, words in (
+                (COLOURS[0], -np.inf, 0.1, "below 0.1 %"),
+                (COLOURS[1], 0.1, 0.5, "0.1 to 0.5 %"),
+                (COLOURS[2], 0.5, 100.0 * BAR, "0.5 to 1 %"),
+                (COLOURS[3], 100.0 * BAR, np.inf, "above 1 %"),
+            ):
+                of = (shown > low) & (shown <= high)
+                ax.plot(
+                    self.speed_rpm[of],
+                    1e6 * self.charge[of],
+                    "o",
+                    ms=5,
+                    c=colour,
+                    label=f"{words} ({int(of.sum())})",
+                )
+            ax.legend(title="loss above the best", loc="upper left", bbox_to_anchor=(1.0, 1.0))
             ax.set_xlabel("engine speed (rpm)")
             ax.set_ylabel("air charge (mg per event)")
             ax.set_title(f"Optimal path against direct search: {100.0 * self.worst:.2f} % at worst")

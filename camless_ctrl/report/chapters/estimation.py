@@ -69,7 +69,7 @@ class EstimationChapter:
                 ),
                 _table(found),
                 Figure(
-                    "estimates",
+                    "errors",
                     Text(
                         "Error of single events against what the filter itself believes, and the "
                         "mean error of each cylinder."

@@ -80,7 +80,7 @@ def _table(table: PerformanceTable) -> Table:
         for name, bar, of_laws in table.by_name()
     ]
     return Table(
-        "performance",
+        "bars",
         Text("Median and worst seed of every figure."),
         [
             Column("case"),

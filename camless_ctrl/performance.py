@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SEEDS = 20
+SHOWN = 0.01  # least share of a bar that the picture tells apart
 _GROUP = 5  # seeds that are run in one piece
 
 Progress = Callable[[int, int], None]
@@ -122,21 +123,26 @@ class PerformanceTable:
         return {"cases": [row.to_dict() for row in self.rows]}
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the worst and the median of every figure over its bar, law by law."""
+        """Draw the worst and the median of every figure over its bar, law by law.
+
+        What is below `SHOWN` of its bar, or below zero, is drawn at `SHOWN`.
+        """
+        import textwrap
+
         from plant._plotting import COLOURS, axes, styled
 
         names = list(dict.fromkeys(row.name for row in self.rows))
         with styled():
-            ax = axes(ax, (8.6, 0.42 * len(names) + 1.2))
+            ax = axes(ax, (9.0, 0.5 * len(names) + 1.6))
             for j, law in enumerate(self.laws):
                 rows = {row.name: row for row in self.of(law)}
-                at = [i + 0.16 * (j - 0.5 * (len(self.laws) - 1)) for i in range(len(names))]
-                known = [(y, rows[name]) for y, name in zip(at, names, strict=True) if name in rows]
+                shift = 0.15 * (j - 0.5 * (len(self.laws) - 1))
+                known = [(i + shift, rows[name]) for i, name in enumerate(names) if name in rows]
                 for y, row in known:
-                    span = [row.median / row.bar, row.worst / row.bar]
+                    span = [max(v / row.bar, SHOWN) for v in (row.median, row.worst)]
                     ax.plot(span, [y, y], c=COLOURS[j], lw=1.6)
                 ax.plot(
-                    [row.worst / row.bar for _, row in known],
+                    [max(row.worst / row.bar, SHOWN) for _, row in known],
                     [y for y, _ in known],
                     "o",
                     ms=4,
@@ -145,10 +151,12 @@ class PerformanceTable:
                 )
             ax.axvline(1.0, c="0.3", ls="--", lw=1.0)
             ax.set_xscale("log")
-            ax.set_yticks(range(len(names)), names)
+            ax.set_xlim(left=0.8 * SHOWN)
+            labels = [textwrap.fill(name, 42) for name in names]
+            ax.set_yticks(range(len(names)), labels, fontsize=7)
             ax.invert_yaxis()
             ax.set_xlabel("figure over its bar: median to worst seed (dot)")
-            ax.legend(loc="lower center", bbox_to_anchor=(0.3, 1.0), ncols=3)
+            ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
         return ax
 
     def __str__(self) -> str:

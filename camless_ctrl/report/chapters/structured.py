@@ -113,10 +113,11 @@ def _gains_text(found: RobustAnalysis) -> Text:
     return Text(
         "The gains per cycle follow from the law's covariances at rest: {mean_low:.3f} to "
         "{mean_high:.3f} for the mean, {differences_low:.3f} to {differences_high:.3f} for the "
-        "differences. At the start, when little is known, they are larger. A flow gain may be "
-        "learnt within bounds only: at {beyond_speed:.0f} {beyond:.0f} sampled plants, the most "
-        "of all speeds, meet the demand only beyond them. There the law stops at its bound, "
-        "stable and off the demand; the description goes on.",
+        "differences. At the start, when little is known, they are larger. With the valve wide "
+        "open the charge hardly follows the flow: at {beyond_speed:.0f} {beyond:.0f} sampled "
+        "plants, the most of all speeds, would need a flow gain beyond the law's bounds. The "
+        "charge factor that all cylinders share makes up for that, since the sampled cylinders "
+        "are alike.",
         beyond=Number(beyond.measurement.beyond_reach),
         beyond_speed=Number(beyond.speed_rpm, "rpm"),
         **told,

@@ -1,22 +1,18 @@
-"""Adaptation of one charge factor per cylinder; the law is this project's own.
+"""Gains of the adaptation per cycle, and their schedule over speed.
 
-The factor ``f_i`` tells how much of the charge that the map promises cylinder i takes in. The
-normalised gradient of the squared prediction error ``(m_hat - f_i m_map)^2`` moves it by
-``gain (m_hat/m_map - f_i)``, which is an integral correction of the relative charge error.
-A part of each error that all cylinders share may be given a gain of its own.
+A part of each charge error that all cylinders share, the mean, has a gain of its own beside that of
+the differences between cylinders, the imbalance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from plant._checks import in_range, replace_fields
+from plant._checks import in_range
 from plant.errors import ParameterError
-from plant.kinematics import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,76 +92,3 @@ class GainSchedule:
             tuple(factor * gain for gain in self.mean),
             tuple(factor * gain for gain in self.imbalance),
         )
-
-
-class AdaptationStep(NamedTuple):
-    """Outcome of one update."""
-
-    factors: FloatArray  # (n,)
-    error: float  # prediction error used, after the dead zone
-    projected: bool  # whether a factor was held at its bound
-
-
-class AdaptationLaw(Protocol):
-    """What a controller asks of an adaptation law."""
-
-    def update(
-        self, factors: FloatArray, cylinder: int, ratio: float, used: float, speed_rpm: float
-    ) -> AdaptationStep:
-        """Return the factors after one estimate; see `NormalisedGradient.update`."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class NormalisedGradient:
-    """Normalised gradient with projection and dead zone.
-
-    Parameters
-    ----------
-    gains : GainSchedule
-        Gains per cycle over speed.
-    bounds : (float, float)
-        Interval onto which the factors are projected, 1.
-    dead_zone : float
-        Prediction error below which nothing moves; above, the error counts from there on.
-    """
-
-    gains: GainSchedule = GainSchedule()
-    bounds: tuple[float, float] = (0.6, 1.4)
-    dead_zone: float = 0.0
-
-    def __post_init__(self) -> None:
-        low = in_range("bounds[0]", self.bounds[0], 0.0, 1.0, "1", open_low=True)
-        in_range("bounds[1]", self.bounds[1], max(low, 1.0), 10.0, "1")
-        in_range("dead_zone", self.dead_zone, 0.0, 1.0, "1")
-
-    def replace(self, **changes: object) -> NormalisedGradient:
-        """Return a copy with the given fields changed."""
-        return replace_fields(self, changes)
-
-    def update(
-        self, factors: FloatArray, cylinder: int, ratio: float, used: float, speed_rpm: float
-    ) -> AdaptationStep:
-        """Return the factors after the estimate of one event.
-
-        Parameters
-        ----------
-        factors : ndarray (n,)
-            Factors so far; not changed.
-        cylinder : int
-            Cylinder (from 1) of the event.
-        ratio : float
-            Estimated charge over that of the map at the commanded valve motion.
-        used : float
-            Factor with which that command was made.
-        speed_rpm : float
-            Speed for which the gains are taken.
-        """
-        n = factors.size
-        gains = self.gains.at(speed_rpm)
-        error = ratio - used
-        error = float(np.sign(error)) * max(abs(error) - self.dead_zone, 0.0)
-        moved = factors + (gains.mean - gains.imbalance) / n * error
-        moved[cylinder - 1] += gains.imbalance * error
-        inside = np.clip(moved, *self.bounds)
-        return AdaptationStep(inside, error, bool(np.any(inside != moved)))

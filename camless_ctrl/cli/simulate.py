@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -14,14 +14,11 @@ from ._common import (
     bar,
     out,
     print_requirements,
-    print_table,
     status,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from ..performance import PerformanceTable
 
 Demands = Annotated[
     tuple[float, ...],
@@ -173,27 +170,8 @@ def _bars(seed: int, seeds: int, json: Path | None, quiet: bool) -> int:
         if file is not None:
             file.write(to_json(table.to_dict()))
     console = out(quiet)
-    _print(console, table)
+    console.print("Performance on the full plant, median and worst seed:", markup=False)
+    console.print(str(table), markup=False)
     found = assess_performance(table, ADAPTIVE)
     print_requirements(console, found)
     return status(found)
-
-
-def _print(console: Any, table: PerformanceTable) -> None:
-    print_table(
-        console,
-        "Performance on the full plant: median and worst seed, %",
-        ["case", "bar", *table.laws],
-        [
-            [
-                name,
-                f"{bound:g}",
-                *(
-                    f"{row.median:.2f} / {row.worst:.2f}{'' if row.met else ' !'}" if row else "-"
-                    for row in rows
-                ),
-            ]
-            for name, bound, rows in table.by_name()
-        ],
-    )
-    console.print("! a bar that is not met in the worst seed", markup=False)

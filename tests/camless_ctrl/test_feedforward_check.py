@@ -141,8 +141,10 @@ def test_plots(checked):
     import matplotlib.pyplot as plt
 
     ax = checked.plot()
-    drawn = ax.collections[0].get_offsets()
-    np.testing.assert_allclose(drawn[:, 1], 1e6 * checked.charge)
+    drawn = np.concatenate([line.get_ydata() for line in ax.lines])
+    np.testing.assert_allclose(np.sort(drawn), np.sort(1e6 * checked.charge))
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert labels[-1] == f"above 1 % ({int((checked.excess > 0.01).sum())})"
     plt.close("all")
 
 

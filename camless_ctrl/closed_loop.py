@@ -37,7 +37,7 @@ def simulate(
     speed_rpm: ArrayLike,
     *,
     sensors: SensorSet | None = None,
-    valves: ValveErrors = ValveErrors(),  # noqa: B008 - immutable
+    valves: ValveErrors | None = None,
     state: ControllerState | None = None,
     active: ArrayLike = True,
     seed: int = 0,
@@ -58,8 +58,8 @@ def simulate(
         Engine speed of each event.
     sensors : SensorSet, optional
         The sensors; the default ones if not given.
-    valves : ValveErrors
-        Errors of the delivered durations.
+    valves : ValveErrors, optional
+        Errors of the delivered durations; none by default.
     state : ControllerState, optional
         State to start from, before its first event; nothing learnt by default.
     active : bool or array_like (m,) of bool
@@ -87,6 +87,7 @@ def simulate(
             f"the controller is for {controller.n_cylinders} cylinders, but the engine has {n}"
         )
     whole("seed", seed, 0, 2**63 - 1)
+    valves = ValveErrors() if valves is None else valves
     demands = np.atleast_1d(np.asarray(demand, dtype=float))
     m = demands.size
     if demands.ndim != 1 or not m:

@@ -30,6 +30,7 @@ from .event_data import ChargeEstimate, ChargeEvidence, EventRecord, Measurement
 _NOMINAL = CylinderParameters()
 _DENSITIES = (0.55, 1.25)  # 1, relative densities that are believed
 _PLAUSIBLE = 3.0  # estimated over predicted charge, or one over it, that is believed
+_GUESSES = (-3.0, 0.5)  # ln of a guessed charge over that of the model's own command
 _KEPT = 12  # events that the controller remembers: as many as the estimator
 _LONGEST_GAP = 2.0  # s from one IVO to the next; a later time is not believed
 _MOST_REFUSED = 8  # times in a row that are refused, after which the clock is believed again
@@ -344,15 +345,13 @@ class AirChargeController:
         part of the measured deviation that is jitter, ``w``, moves the charge that is predicted;
         what is left of charge and duration then have independent errors.
         """
-        of, _, charge, variance, *_ = estimate
-        for record, exact in reversed(pending):  # noqa: B007 - used after the loop
-            if record[0] == of:
-                break
-        else:
+        index, _, charge, variance, *_ = estimate
+        event = _of_index(pending, index)
+        if event is None or not event.exact:
             return None
-        _, cylinder, _, speed, point, used, measured = record
+        _, cylinder, _, speed, point, used, measured = event.record
         ratio = charge / point.charge
-        if not (exact and 1.0 / _PLAUSIBLE < ratio < _PLAUSIBLE):
+        if not 1.0 / _PLAUSIBLE < ratio < _PLAUSIBLE:
             return None
         slope = point.duration_slope
         error = measured - point.duration_deg / (6.0 * speed)
@@ -386,6 +385,14 @@ class AirChargeController:
         return density + self.density_gain * (wanted - density)
 
 
+def _of_index(pending: tuple[PendingEvent, ...], event_index: int) -> PendingEvent | None:
+    """Return the pending event of a number, the latest being looked at first; None without one."""
+    for event in reversed(pending):
+        if event.record.event_index == event_index:
+            return event
+    return None
+
+
 def _with_durations(
     pending: tuple[PendingEvent, ...], durations: tuple[tuple[int, float], ...]
 ) -> tuple[PendingEvent, ...]:
@@ -412,9 +419,13 @@ def _blended(learnt: CylinderParameters, applied: float) -> CylinderParameters:
 
 
 def _moved(point: ModelPoint, lift_mm: float, duration_deg: float, speed_rpm: float) -> ModelPoint:
-    """Return the point with another command; its charge to first order in the duration."""
+    """Return the point with another command; its charge to first order in the duration.
+
+    It is a guess for the estimator, which leans little on it, and is not learnt from: a lower lift
+    is left out, and the guess stays within `_GUESSES`.
+    """
     change = (duration_deg - point.duration_deg) / (6.0 * speed_rpm)
-    exponent = min(max(point.duration_slope * change, -3.0), 0.5)
+    exponent = min(max(point.duration_slope * change, _GUESSES[0]), _GUESSES[1])
     return point._replace(
         lift_mm=lift_mm, duration_deg=duration_deg, charge=point.charge * math.exp(exponent)
     )

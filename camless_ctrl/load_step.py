@@ -23,7 +23,7 @@ def run_load_step(
     demand_mg: tuple[float, ...] = (170.0, 400.0, 170.0),
     cycles: int = 40,
     sensors: SensorSet | None = None,
-    valves: ValveErrors = ValveErrors(0.0, JITTER),  # noqa: B008 - immutable
+    valves: ValveErrors | None = None,
     seed: int = 0,
 ) -> ClosedLoopResult:
     """Load step with one weak cylinder: runner and actuator oscillation on, sensors real.
@@ -45,7 +45,7 @@ def run_load_step(
         Cycles per demand.
     sensors : SensorSet, optional
         Sensors; the default ones if not given.
-    valves : ValveErrors
+    valves : ValveErrors, optional
         Errors of the delivered durations; the assumed jitter by default.
     seed : int
         Seed of noise and jitter.
@@ -65,7 +65,7 @@ def run_load_step(
         demand,
         speed_rpm,
         sensors=sensors,
-        valves=valves,
+        valves=ValveErrors(0.0, JITTER) if valves is None else valves,
         seed=seed,
         name=f"load step {steps} mg at {speed_rpm:g} rpm, one weak cylinder",
     )

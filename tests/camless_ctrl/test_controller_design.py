@@ -1,5 +1,6 @@
 """The controller as it is designed for the paper's engine, against the full plant."""
 
+import dataclasses
 import json
 import math
 import pickle
@@ -12,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 
 from camless_ctrl.closed_loop import ValveErrors, simulate
 from camless_ctrl.closed_loop_result import averaged
+from camless_ctrl.controller import AirChargeController
 from camless_ctrl.controller_cases import JITTER, WEAK_CYLINDER
 from camless_ctrl.controller_design import design_controller
 from camless_ctrl.cylinder_parameters import ParameterSet
@@ -117,9 +119,6 @@ def test_warm_start_is_right_from_the_first_cycle(narrow_design, load_step):
 
 
 def test_missing_samples_freeze_what_was_learnt(narrow_design):
-    class Dropping(MafSensor):
-        pass
-
     controller = narrow_design.controller
     plant, state = full_plant(), controller.initial_state()
     run = simulate(plant, controller, np.full(80, 2.5e-4), N, seed=3)
@@ -203,6 +202,65 @@ def test_whatever_is_measured_nothing_raises_and_limits_hold(narrow_design, step
         assert 0.0 < step.duration_deg <= limits.longest_duration_deg * (1.0 + 1e-12)
         assert bounds.contain(state.adaptation.parameters)
         assert math.isfinite(step.diagnostics.predicted)
+
+
+@pytest.fixture(scope="module")
+def record(narrow_design):
+    """What the controller was told in a run of 60 events."""
+    told = []
+
+    class Recording(AirChargeController):
+        def step(self, state, measurement, demand, *, active=True):
+            told.append(measurement)
+            return super().step(state, measurement, demand, active=active)
+
+    design = narrow_design.controller
+    recording = Recording(**{f.name: getattr(design, f.name) for f in dataclasses.fields(design)})
+    simulate(full_plant(), recording, np.full(60, 2.5e-4), N, valves=ValveErrors(0.0, JITTER))
+    return told
+
+
+def corrupted(told, kind, value):
+    """Measurement of which one kind of signal is wrong."""
+    if kind in ("time", "speed_rpm"):
+        return dataclasses.replace(told, **{kind: value})
+    if kind == "durations":
+        return dataclasses.replace(told, durations=tuple((k, value) for k, _ in told.durations))
+    signal = getattr(told, kind).copy()
+    signal[::2] = value
+    return dataclasses.replace(told, **{kind: signal})
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.dictionaries(
+        st.integers(8, 50),
+        st.tuples(
+            st.sampled_from(
+                ["time", "speed_rpm", "durations", "sample_time", "sample_flow", "pressure_time",
+                 "pressure"]
+            ),
+            NEAR,
+        ),
+        max_size=12,
+    )
+)  # fmt: skip
+def test_a_run_with_wrong_signals_keeps_limits_and_learns_again(narrow_design, record, wrong):
+    controller = narrow_design.controller
+    limits, bounds = controller.limits, controller.adaptation.bounds
+    state, adapted = controller.initial_state(), []
+    for k, told in enumerate(record):
+        measurement = corrupted(told, *wrong[k]) if k in wrong else told
+        step = controller.step(state, measurement, 2.5e-4)
+        state = step.state
+        adapted.append(step.diagnostics.adapted)
+        assert limits.lift_mm[0] <= step.lift_mm <= limits.lift_mm[1]
+        assert 0.0 < step.duration_deg <= limits.longest_duration_deg * (1.0 + 1e-12)
+        assert bounds.contain(state.adaptation.parameters)
+        assert math.isfinite(step.diagnostics.predicted)
+    assert any(adapted[:8])  # windows are completed before anything goes wrong
+    if not wrong:
+        assert all(adapted[8:])
 
 
 def test_another_law_shares_the_rest(narrow_design):

@@ -14,10 +14,10 @@ from plant import CrankAnglePlant, Engine, MeanValuePlant
 
 from ..charge_model import ChargeModel
 from ..closed_loop import ValveErrors, simulate
-from ..controller import AirChargeController, ControllerState, ControlStep
+from ..controller import AirChargeController, ControllerState, ControlStep, _with_durations
 from ..controller_cases import JITTER
 from ..controller_design import design_controller
-from ..event_data import Measurement
+from ..event_data import ChargeEvidence, Measurement
 from ..optimal_path import OptimalPath
 
 SPEED_RPM, DEMAND = 1500.0, 3e-4
@@ -65,13 +65,14 @@ def measure_controller(passes: int) -> ControllerTiming:
     events = _recorded(controller)
     law = controller.adaptation
 
-    def evidence(state: ControllerState) -> Any:
-        record = state.pending[-3].record
-        found = controller.estimator.update(state.estimator, told[id(state)]).final
-        return record if found is None else controller._evidence(state.pending, found)
+    def evidence(state: ControllerState, measurement: Measurement) -> ChargeEvidence:
+        found = controller.estimator.update(state.estimator, measurement).final
+        pending = _with_durations(state.pending, measurement.durations)
+        said = None if found is None else controller._evidence(pending, found)
+        assert said is not None  # the sensors are sound, and the beginning is left out
+        return said
 
-    told = {id(state): measurement for state, measurement in events}
-    known = {id(state): evidence(state) for state, _ in events}
+    known = {id(state): evidence(state, measurement) for state, measurement in events}
     parts: dict[str, Callable[[ControllerState, Measurement], Any]] = {
         "step": lambda state, measurement: controller.step(state, measurement, DEMAND),
         "estimator": lambda state, measurement: controller.estimator.update(

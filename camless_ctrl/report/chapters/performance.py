@@ -44,8 +44,10 @@ class PerformanceChapter:
             blocks=[
                 Text(
                     "All laws share the feedforward and the estimator. The least-squares law "
-                    "learns flow gains and duration offsets; integral correction and the LTI law "
-                    "move a charge factor per cylinder. Noise-averaged figures are means over "
+                    "learns flow gains, duration offsets and a charge factor in common, the "
+                    "gradient the first two; integral correction moves a charge factor per "
+                    "cylinder. (camless simulate --bars adds the LTI law of the robust synthesis, "
+                    "and runs twenty seeds.) Noise-averaged figures are means over "
                     "thirty cycles of one run; single events are told as they are, jitter of the "
                     "valve included, which no controller can foresee. Not met: {missed}.",
                     missed=words or "none",

@@ -110,7 +110,7 @@ def quantise(
     """
     reading = np.asarray(reading, dtype=float)
     saturated = (reading < lowest) | (reading > highest)
-    limited = np.clip(reading, lowest, highest)
+    limited = np.minimum(np.maximum(reading, lowest), highest)  # np.clip takes twice the time
     if bits is None:
         return limited, saturated
     step = (highest - lowest) / (2**bits - 1)
@@ -133,9 +133,9 @@ def points(
             f"point {bad} is {name} {t[bad]:g} {unit} with signal {u[bad]:g}, but all points must "
             "be finite"
         )
-    falls = np.flatnonzero(np.diff(t) < 0.0)
-    if falls.size:
-        i = int(falls[0])
+    falls = t[1:] < t[:-1]
+    if falls.any():
+        i = int(np.flatnonzero(falls)[0])
         raise ParameterError(
             f"{name} falls from {t[i]:g} to {t[i + 1]:g} {unit} at point {i + 1}, but must not "
             "fall: sort the points"

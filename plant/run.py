@@ -8,6 +8,7 @@ import numpy as np
 
 from . import _entries as kernel
 from . import _layout as layout
+from ._handover import handed_on
 from ._kernel_interface import check_status
 from .cycle import CompletedEvent, EventResult
 from .errors import ParameterError
@@ -67,6 +68,26 @@ class PlantRun:
     def next_cylinder(self) -> int:
         """Cylinder (from 1) that opens in the next event window."""
         return self.state.event_index % self.plant.engine.n_cylinders + 1
+
+    def continue_with(self, plant: CrankAnglePlant) -> PlantRun:
+        """Return a run that goes on from here with a changed engine; this one stays as it is.
+
+        Ambient and exhaust pressure, temperature and the flow coefficients may differ. The
+        manifold keeps its pressure, its mass following the temperature; cylinders keep their
+        masses, so that the air of an open one is at the new temperature at once.
+
+        Parameters
+        ----------
+        plant : CrankAnglePlant
+            Plant with the same geometry, valvetrain, throttle and options.
+
+        Raises
+        ------
+        ParameterError
+            If the plant differs in anything else.
+        """
+        state = handed_on(self.state, self.plant, plant)
+        return PlantRun(plant, state, self.speed_rpm, self.throttle_deg, self.on_infeasible)
 
     def step_event(
         self,

@@ -121,7 +121,7 @@ def _fault(cylinders: FloatArray, manifold: FloatArray) -> str:
     if not (np.all(np.isfinite(cylinders)) and np.all(np.isfinite(manifold))):
         return "holds numbers that are not finite: it is damaged, save the state again"
     phases = cylinders[:, PHASE]
-    if not np.all(np.isin(phases, range(CAM + 1))):
+    if not np.all((phases >= 0.0) & (phases <= CAM) & (phases == np.floor(phases))):
         return (
             f"holds valve phases {phases.tolist()}, but they must be whole and from 0 to {CAM}: "
             "it is damaged, save the state again"

@@ -15,76 +15,37 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
-from plant import ValveCommand
+import numpy as np
+
 from plant._checks import in_range, positive, whole
-from plant.air_path import event_time
 from plant.errors import ParameterError
 
+from ._event_facts import (
+    KEPT,
+    charge_evidence,
+    event_facts,
+    of_index,
+    skipped_events,
+    with_durations,
+    without_pressure,
+)
+from ._event_timing import MOST_REFUSED, Timing, usable
+from .alarms import Alarm
 from .command_limits import CommandLimits
 from .controller_parts import Adaptation, ChargeModel, Estimator
+from .controller_state import ControllerState, ControlStep, Diagnostics, PendingEvent
 from .cylinder_parameters import CylinderParameters, ParameterSet
 from .event_data import ChargeEstimate, ChargeEvidence, EventRecord, Measurement, ModelPoint
+from .fault_reaction import NOTHING_LEARNT, PRESSURE, FaultReaction, Watch
+
+__all__ = ["AirChargeController", "ControlStep", "ControllerState", "Diagnostics"]
 
 _NOMINAL = CylinderParameters()
 _DENSITIES = (0.55, 1.25)  # 1, relative densities that are believed
-_PLAUSIBLE = 3.0  # estimated over predicted charge, or one over it, that is believed
 _GUESSES = (-3.0, 0.5)  # ln of a guessed charge over that of the model's own command
-_KEPT = 12  # events that the controller remembers: as many as the estimator
-_LONGEST_GAP = 2.0  # s from one IVO to the next; a later time is not believed
-_MOST_REFUSED = 8  # times in a row that are refused, after which the clock is believed again
-
-
-class PendingEvent(NamedTuple):
-    """An event whose charge has not been used yet."""
-
-    record: EventRecord
-    exact: bool  # whether the model speaks of the command that was given
-
-
-class ControllerState(NamedTuple):
-    """All that the controller remembers; immutable."""
-
-    event_index: int  # of the next event
-    adaptation: Any
-    estimator: Any
-    pending: tuple[PendingEvent, ...]
-    commands: tuple[tuple[float, float] | None, ...]  # last lift (mm) and duration (s) of each
-    applied: float  # share of the learnt parameters that commands use, 1
-    density: float  # of the intake air over the model's, as the pressure sensor shows it, 1
-    held: int  # events for which nothing is learnt yet
-    refused: int  # times in a row that were not believed
-    time: float  # s, IVO of the last event
-    speed_rpm: float  # of the last event
-
-
-class Diagnostics(NamedTuple):
-    """What happened in one step."""
-
-    estimate: ChargeEstimate | None  # of an earlier event
-    parameters: CylinderParameters  # with which this command was made
-    predicted: float  # kg, charge that the model promises
-    limited: bool  # whether the demand is out of reach, or a limit acts on the command
-    rate_limited: bool  # whether the command could not change fast enough
-    projected: bool  # whether a parameter was held at its bound
-    adapted: bool  # whether anything was learnt
-    rejected: bool  # whether samples were missing or contradicted the model
-    density: float  # 1
-
-
-class ControlStep(NamedTuple):
-    """Outcome of `AirChargeController.step`."""
-
-    state: ControllerState
-    lift_mm: float
-    duration_deg: float
-    diagnostics: Diagnostics
-
-    @property
-    def command(self) -> ValveCommand:
-        """Command of the valve that opens next."""
-        return ValveCommand(self.lift_mm, self.duration_deg)
+_LEAST = 1e-12  # kg, a charge that is out of reach, to whose command nothing is nearer
 
 
 @dataclass(frozen=True)
@@ -120,6 +81,10 @@ class AirChargeController:
         Events over which learnt parameters are brought in or taken out, without a bump.
     hold_events : int
         Events for which nothing is learnt after bad samples.
+    faults : FaultReaction or None
+        Monitors, and what follows from their alarms; None believes every sensor.
+    density_jump : float
+        Change of the ambient pressure, Pa, that is not followed before the monitors have judged.
     adapt : bool
         False learns nothing: with nominal parameters this is feedforward alone.
     """
@@ -138,6 +103,8 @@ class AirChargeController:
     blend_events: int = 40
     hold_events: int = 8
     adapt: bool = True
+    faults: FaultReaction | None = None
+    density_jump: float = 1500.0
 
     def __post_init__(self) -> None:
         whole("n_cylinders", self.n_cylinders, 1, 24)
@@ -150,6 +117,12 @@ class AirChargeController:
         in_range("speed_range_rpm[1]", self.speed_range_rpm[1], self.speed_range_rpm[0], 1e5, "rpm")
         whole("blend_events", self.blend_events, 1, 100_000)
         whole("hold_events", self.hold_events, 0, 100_000)
+        positive("density_jump", self.density_jump, "Pa")
+        if self.faults is not None and self.faults.monitor.n_cylinders != self.n_cylinders:
+            raise ParameterError(
+                f"the monitors are for {self.faults.monitor.n_cylinders} cylinders, but the "
+                f"controller is for {self.n_cylinders}: make them of the same engine"
+            )
 
     def replace(self, **changes: Any) -> AirChargeController:
         """Return a copy with the given fields changed."""
@@ -174,9 +147,10 @@ class AirChargeController:
                 f"the parameters are of {parameters.n_cylinders} cylinders, but the controller "
                 f"is for {self.n_cylinders}"
             )
+        adaptation = self.adaptation.start(self.n_cylinders, parameters)
         return ControllerState(
             0,
-            self.adaptation.start(self.n_cylinders, parameters),
+            adaptation,
             self.estimator.start(),
             (),
             (None,) * self.n_cylinders,
@@ -186,6 +160,7 @@ class AirChargeController:
             0,
             -math.inf,
             math.nan,
+            None if self.faults is None else self.faults.start(adaptation),
         )
 
     def export_state(self, state: ControllerState) -> dict[str, Any]:
@@ -225,7 +200,8 @@ class AirChargeController:
                 f"the exported parameters are of {learnt.parameters.n_cylinders} cylinders, but "
                 f"this controller has {self.n_cylinders}: import it into one of the same kind"
             )
-        return fresh._replace(adaptation=learnt)
+        watch = None if self.faults is None else self.faults.start(learnt)
+        return fresh._replace(adaptation=learnt, watch=watch)
 
     # -- one event ---------------------------------------------------------------------------
 
@@ -246,9 +222,9 @@ class AirChargeController:
         measurement : Measurement
             What is known shortly before this IVO; samples are 1-D arrays of floats. Whatever
             numbers it holds, nothing is raised: a time or speed that cannot be is replaced by
-            the last one, samples are the estimator's to judge.
+            the last one, samples are for estimator and monitors to judge.
         demand : float
-            Demanded charge of the event, kg.
+            Demanded charge of the event, kg; 0 keeps the valve shut.
         active : bool
             False takes what was learnt out of the commands, and True brings it back, both over
             `blend_events`. Nothing is learnt in between.
@@ -256,155 +232,150 @@ class AirChargeController:
         Raises
         ------
         ParameterError
-            If the demand is not a positive number.
+            If the demand is not a number from 0 up.
         """
-        if not 0.0 < demand < math.inf:
-            positive("demand", demand, "kg")  # says what is wrong
-        n, k = self.n_cylinders, state.event_index
-        cylinder = k % n + 1
-        measurement, refused = self._usable(state, measurement)
-        speed = measurement.speed_rpm
+        if not 0.0 <= demand < math.inf:
+            in_range("demand", demand, 0.0, math.inf, "kg")  # says what is wrong
+        n = self.n_cylinders
+        timing = usable(state, measurement, n, self.speed_range_rpm, self.faults)
+        measurement, k = timing.measurement, timing.event_index
+        if timing.missed:
+            state = self._without_computation(state, timing)
+        cylinder, speed, watch = k % n + 1, measurement.speed_rpm, state.watch
 
-        pending = _with_durations(state.pending, measurement.durations)
+        pending = with_durations(state.pending, measurement.durations)
         estimator = state.estimator
-        if state.refused >= _MOST_REFUSED and not refused:
+        if state.refused >= MOST_REFUSED and not timing.refused:
             estimator = self.estimator.start()  # the clock has been set: what came before is void
-        found = self.estimator.update(estimator, measurement)
-        held = self.hold_events if found.rejected else max(state.held - 1, 0)
-        adaptation, projected, adapted = state.adaptation, False, False
+        elif watch is not None and watch.starts_anew:
+            estimator = self.estimator.start()
+        believed = measurement
+        if watch is not None and watch.alarms & PRESSURE:
+            believed = without_pressure(measurement)
+        found = self.estimator.update(estimator, believed)
         final = found.final
-        if final is not None and self.adapt and active and held == 0:
-            evidence = self._evidence(pending, final)
+        event = None if final is None else of_index(pending, final.event_index)
+        if event is None or event.shut:
+            final = None
+        held = self.hold_events if found.rejected or timing.alarms else max(state.held - 1, 0)
+
+        adaptation, projected, adapted = state.adaptation, False, False
+        if self.faults is not None and watch is not None:
+            facts = event_facts(timing, cylinder, pending, event, found)
+            watch, adaptation = self.faults.judge(
+                watch, facts, timing.alarms, measurement.time, adaptation
+            )
+        learns = self.adapt and active and held == 0 and (watch is None or watch.learns)
+        if final is not None and learns:
+            evidence = self._evidence(event, final)
             if evidence is not None:
                 moved = self.adaptation.update(adaptation, evidence)
                 adaptation, projected, adapted = moved.state, moved.projected, moved.moved
 
         change = 1.0 / self.blend_events
         applied = min(max(state.applied + (change if active else -change), 0.0), 1.0)
-        density = self._density(state.density, found.ambient_pressure)
+        density = self._density(state.density, found.ambient_pressure, watch)
         used = _blended(adaptation.of(cylinder), applied)
-        point = self.model.inverse(demand, speed, used, density)
-        commands = state.commands
-        lift, duration, share = self.limits.apply(
-            point.lift_mm, point.duration_deg, speed, commands[cylinder - 1]
-        )
-        duration_deg = 6.0 * speed * duration
-        exact = lift == point.lift_mm and abs(duration_deg - point.duration_deg) < 1e-6
-        if not exact:
-            point = _moved(point, lift, duration_deg, speed)
+        commands, before, limited, share = state.commands, state.commands[cylinder - 1], False, 1.0
+        if demand == 0.0:
+            point, exact = self._shut(speed), False
+            lift, duration_deg = 0.0, point.duration_deg
+        else:
+            if watch is not None and watch.reach < 1.0:
+                most = watch.reach * self.model.limits(speed, used, density)[1]
+                limited, demand = demand > most, min(demand, most)
+            point = self.model.inverse(demand, speed, used, density)
+            lift, duration, share = self.limits.apply(
+                point.lift_mm, point.duration_deg, speed, before
+            )
+            duration_deg = 6.0 * speed * duration
+            commands = (*commands[: cylinder - 1], (lift, duration), *commands[cylinder:])
+            exact = lift == point.lift_mm and abs(duration_deg - point.duration_deg) < 1e-6
+            limited = limited or point.limited or not exact
+            if not exact:
+                point = _moved(point, lift, duration_deg, speed)
         record = EventRecord(k, cylinder, measurement.time, speed, point, used, math.nan)
         after = ControllerState(
             k + 1,
             adaptation,
             self.estimator.commanded(found.state, record),
-            (*pending[1 - _KEPT :], PendingEvent(record, exact)),
-            (*commands[: cylinder - 1], (lift, duration), *commands[cylinder:]),
+            (*pending[1 - KEPT :], PendingEvent(record, exact)),
+            commands,
             applied,
             density,
             held,
-            refused,
+            timing.refused,
             measurement.time,
             speed,
+            watch,
         )
         diagnostics = Diagnostics(
             final,
             used,
-            point.charge,
-            point.limited or not exact,
+            0.0 if demand == 0.0 else point.charge,
+            limited,
             share < 1.0,
             projected,
             adapted,
             found.rejected,
             density,
         )
+        if watch is not None and watch.alarms:
+            diagnostics = diagnostics._replace(
+                mode=watch.mode, alarms=Alarm(watch.alarms), suspects=watch.monitor.suspects
+            )
+        elif timing.alarms:
+            diagnostics = diagnostics._replace(alarms=Alarm(timing.alarms))
         return ControlStep(after, lift, duration_deg, diagnostics)
 
-    def _usable(self, state: ControllerState, measurement: Measurement) -> tuple[Measurement, int]:
-        """Measurement with a usable time and speed, and how many times were refused in a row."""
-        speed, time = measurement.speed_rpm, measurement.time
-        low, high = self.speed_range_rpm
-        if not low <= speed <= high:
-            speed = state.speed_rpm if math.isfinite(state.speed_rpm) else max(low, 1000.0)
-        refused = 0
-        if not state.time < time <= state.time + _LONGEST_GAP and (
-            not math.isfinite(time) or (math.isfinite(state.time) and state.refused < _MOST_REFUSED)
-        ):
-            refused = state.refused + 1
-            last = state.time if math.isfinite(state.time) else 0.0
-            time = last + event_time(speed, self.n_cylinders)
-        if speed is measurement.speed_rpm and time is measurement.time:
-            return measurement, refused
-        return replace(measurement, speed_rpm=speed, time=time), refused
+    def _without_computation(self, state: ControllerState, timing: Timing) -> ControllerState:
+        """Return the state that knows of events in which nothing was computed.
 
-    def _evidence(
-        self, pending: tuple[PendingEvent, ...], estimate: ChargeEstimate
-    ) -> ChargeEvidence | None:
-        """What an estimate says about its cylinder; None if the model does not know the event.
-
-        The delivered duration is the expected one, plus jitter, and is measured with noise. The
-        part of the measured deviation that is jitter, ``w``, moves the charge that is predicted;
-        what is left of charge and duration then have independent errors.
+        Their valves have repeated the last command. Where that is not known, or the number of
+        the event has jumped, the estimator begins anew.
         """
-        index, _, charge, variance, *_ = estimate
-        event = _of_index(pending, index)
-        if event is None or not event.exact:
-            return None
-        _, cylinder, _, speed, point, used, measured = event.record
-        ratio = charge / point.charge
-        if not 1.0 / _PLAUSIBLE < ratio < _PLAUSIBLE:
-            return None
-        slope = point.duration_slope
-        error = measured - point.duration_deg / (6.0 * speed)
-        jitter, noise = self.duration_jitter**2, self.duration_noise**2
-        log_ratio, w = math.log(ratio), 0.0
-        if not abs(error) <= self.most_duration_error:
-            error = math.nan  # not measured, or by a sensor that has failed
-        elif jitter + noise > 0.0:
-            w = jitter / (jitter + noise)
-            log_ratio -= slope * w * (error - used.duration_offset)
-        return ChargeEvidence(
-            cylinder,
-            log_ratio,
-            variance / charge**2 + slope**2 * jitter * (1.0 - w),
-            error,
-            point.flow_slope,
-            slope,
-            used,
-            speed,
+        n, k = self.n_cylinders, timing.event_index
+        repeated = skipped_events(state, timing, n)
+        if not repeated:
+            return state._replace(event_index=k, estimator=self.estimator.start(), pending=())
+        estimator, pending = state.estimator, state.pending
+        for event in repeated:
+            estimator = self.estimator.commanded(estimator, event.record)
+            pending = (*pending[1 - KEPT :], event)
+        return state._replace(event_index=k, estimator=estimator, pending=pending)
+
+    def _shut(self, speed_rpm: float) -> ModelPoint:
+        """Return the point of a valve that is kept shut: nothing flows, whatever is guessed."""
+        point = self.model.inverse(_LEAST, speed_rpm, _NOMINAL, 1.0)
+        return point._replace(
+            lift_mm=0.0, flow_slope=0.0, duration_slope=0.0, shares=np.zeros_like(point.shares)
         )
 
-    def _density(self, density: float, ambient_pressure: float) -> float:
+    def _evidence(
+        self, event: PendingEvent | None, estimate: ChargeEstimate
+    ) -> ChargeEvidence | None:
+        """What an estimate says about its cylinder; None if the model does not know the event."""
+        return charge_evidence(
+            event, estimate, self.duration_jitter, self.duration_noise, self.most_duration_error
+        )
+
+    def _density(self, density: float, ambient_pressure: float, watch: Watch | None) -> float:
         """Density after one event, from the ambient pressure that the estimator sees.
 
-        It follows within `_DENSITIES` only, those of the charge model.
+        It follows within `_DENSITIES` only, those of the charge model. Where the pressure sensor
+        is not believed, it stays; where the air flow is not, the monitors tell the pressure.
         """
+        if watch is not None:
+            trusted = watch.monitor.ambient_pressure
+            if watch.alarms & NOTHING_LEARNT:
+                ambient_pressure = math.nan if watch.alarms & PRESSURE else trusted
+            elif abs(ambient_pressure - trusted) > self.density_jump:
+                return density  # the monitors have not decided yet
         if not math.isfinite(ambient_pressure) or self.density_gain == 0.0:
             return density
         low, high = _DENSITIES
         wanted = min(max(ambient_pressure / self.ambient_pressure, low), high)
         return density + self.density_gain * (wanted - density)
-
-
-def _of_index(pending: tuple[PendingEvent, ...], event_index: int) -> PendingEvent | None:
-    """Return the pending event of a number, the latest being looked at first; None without one."""
-    for event in reversed(pending):
-        if event.record.event_index == event_index:
-            return event
-    return None
-
-
-def _with_durations(
-    pending: tuple[PendingEvent, ...], durations: tuple[tuple[int, float], ...]
-) -> tuple[PendingEvent, ...]:
-    """Return the pending events with measured durations filled in."""
-    for event_index, duration in durations:
-        for i, (record, exact) in enumerate(pending):
-            if record[0] == event_index:
-                # Built by place, which takes a third of the time of a replacement by name.
-                told = PendingEvent(EventRecord(*record[:-1], duration), exact)
-                pending = (*pending[:i], told, *pending[i + 1 :])
-                break
-    return pending
 
 
 def _blended(learnt: CylinderParameters, applied: float) -> CylinderParameters:

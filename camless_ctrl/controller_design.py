@@ -12,6 +12,8 @@ from .charge_model import ChargeModel
 from .command_limits import CommandLimits
 from .controller import AirChargeController
 from .controller_parts import Adaptation
+from .fault_monitor import FaultMonitor
+from .fault_reaction import FaultReaction
 from .kalman_adaptation import KalmanAdaptation
 from .kalman_estimator import KalmanEstimator
 from .least_loss_motion import FeedforwardOptions
@@ -139,6 +141,7 @@ def design_controller(
         ),
         duration_noise=sensors.duration.noise,
         ambient_pressure=base.ambient_pressure,
+        faults=FaultReaction(FaultMonitor.of(base)),
         speed_range_rpm=(
             _SPEED_MARGINS[0] * float(model.speeds_rpm[0]),
             _SPEED_MARGINS[1] * float(model.speeds_rpm[-1]),

@@ -22,6 +22,12 @@ class ChargeModel(Protocol):
         """Return the command for a charge in kg."""
         ...
 
+    def limits(
+        self, speed_rpm: float, parameters: CylinderParameters = ..., density: float = ...
+    ) -> tuple[float, float]:
+        """Return the least and the largest charge that can be commanded, kg."""
+        ...
+
 
 class EstimatorUpdate(Protocol):
     """What an estimator says after the samples of an event."""

@@ -35,6 +35,9 @@ class Measurement:
         MAP samples since the last call: time in s and reading in Pa.
     durations : tuple of (int, float)
         Event index and measured duration (s) of each valve that has shut since the last call.
+    event_index : int, optional
+        Number of the event that opens next, as the cam tells it; the one after the last if it is
+        not told. A larger one says that calls were missed.
     """
 
     time: float
@@ -44,6 +47,7 @@ class Measurement:
     pressure_time: FloatArray = field(default_factory=_nothing)
     pressure: FloatArray = field(default_factory=_nothing)
     durations: tuple[tuple[int, float], ...] = ()
+    event_index: int | None = None
 
 
 class ModelPoint(NamedTuple):

@@ -152,6 +152,17 @@ class Feedforward:
             _EVEN,
         )
 
+    def limits(
+        self,
+        speed_rpm: float,
+        parameters: CylinderParameters = _NOMINAL,
+        density: float = 1.0,
+    ) -> tuple[float, float]:
+        """Lowest and highest charge in kg that can be commanded with a cylinder's parameters."""
+        factor = parameters.charge_factor * parameters.flow_gain * density
+        charge = self._branch(float(speed_rpm)).charge
+        return factor * float(charge[0]), factor * float(charge[-1])
+
     def charge_at(self, duration_deg: float, speed_rpm: float) -> float:
         """Charge that the map promises at a duration, kg; held beyond the branch."""
         branch = self._branch(float(speed_rpm))

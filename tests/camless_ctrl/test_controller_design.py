@@ -119,7 +119,7 @@ def test_warm_start_is_right_from_the_first_cycle(narrow_design, load_step):
 
 
 def test_missing_samples_freeze_what_was_learnt(narrow_design):
-    controller = narrow_design.controller
+    controller = narrow_design.controller.replace(faults=None)  # which would limit the demand
     plant, state = full_plant(), controller.initial_state()
     run = simulate(plant, controller, np.full(80, 2.5e-4), N, seed=3)
     state, before = run.final_state, run.final_state.adaptation.parameters

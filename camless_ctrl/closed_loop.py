@@ -1,26 +1,33 @@
-"""The controller in closed loop with the full plant, event by event."""
+"""The controller in closed loop with the full plant, event by event, faults included."""
 
 from __future__ import annotations
 
-import math
-from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from plant import CrankAnglePlant, ParameterError, Trace, ValveCommand
+from plant import CrankAnglePlant, ParameterError, ValveCommand
 from plant._checks import in_range, whole
-from plant.kinematics import FloatArray
-from plant.sensors import AirSensor, SensorSet
+from plant.sensors import SensorSet
+from plant.sweep import Progress
 
+from ._delivery import delivered
+from ._event_signals import EventSignals, TraceRecorder
+from ._fault_effects import SOUND, FaultEffects
+from ._sensing import SETTLING_LAGS, Sensing
 from .closed_loop_result import ClosedLoopResult
+from .conditions import Conditions, TrueEngine
 from .controller import AirChargeController, ControllerState
-from .event_data import Measurement
+from .faults import Fault
+
+__all__ = ["LATCH_DEG", "SETTLING_LAGS", "TRACE_STEP_DEG", "Conditions", "ValveErrors", "simulate"]
 
 TRACE_STEP_DEG = 0.5  # deg, of the signals that the sensors are shown
 LATCH_DEG = 5.0  # deg before IVO, at which a command is latched
-SETTLING_LAGS = 12.0  # time constants that the sensors are given before the first event
+_SHUT = ValveCommand(0.0, 100.0)  # the duration says nothing
+_TOLD_EVERY = 50  # events, of progress
 
 
 class ValveErrors(NamedTuple):
@@ -38,11 +45,16 @@ def simulate(
     *,
     sensors: SensorSet | None = None,
     valves: ValveErrors | None = None,
+    faults: Sequence[Fault] = (),
+    conditions: Conditions | None = None,
+    throttle_deg: ArrayLike | None = None,
     state: ControllerState | None = None,
     active: ArrayLike = True,
     seed: int = 0,
     name: str = "closed loop",
     trace_step_deg: float = TRACE_STEP_DEG,
+    record_deg: float | None = None,
+    progress: Progress | None = None,
 ) -> ClosedLoopResult:
     """Run the controller against the full plant.
 
@@ -53,13 +65,20 @@ def simulate(
     controller : AirChargeController
         The controller.
     demand : array_like (m,)
-        Demanded charge of each event, kg.
+        Demanded charge of each event, kg; 0 keeps the valve shut.
     speed_rpm : float or array_like (m,)
         Engine speed of each event.
     sensors : SensorSet, optional
         The sensors; the default ones if not given.
     valves : ValveErrors, optional
         Errors of the delivered durations; none by default.
+    faults : sequence of Fault, optional
+        What fails, and when; nothing by default. Their random numbers are their own: noise and
+        jitter of the run are the same with and without them.
+    conditions : Conditions, optional
+        Boundary conditions and ageing of the true engine; those of the plant by default.
+    throttle_deg : float or array_like (m,), optional
+        Throttle angle of each event; wide open by default.
     state : ControllerState, optional
         State to start from, before its first event; nothing learnt by default.
     active : bool or array_like (m,) of bool
@@ -70,6 +89,11 @@ def simulate(
         What to call the result.
     trace_step_deg : float
         Step of the signals that the sensors are shown, deg.
+    record_deg : float, optional
+        Keep the crank-level signals at about this step, deg, but not a finer one than
+        `trace_step_deg`; none are kept by default. With four cylinders a point takes 192 bytes.
+    progress : callable, optional
+        Called with the number of events done and the number in all, now and then.
 
     Returns
     -------
@@ -79,7 +103,13 @@ def simulate(
     Raises
     ------
     ParameterError
-        If controller and engine differ in their number of cylinders, or arrays in length.
+        If controller and engine differ in their number of cylinders, arrays in length, a fault
+        is one of a cylinder that is not there, or makes a valve stay open beyond compression TDC.
+
+    Notes
+    -----
+    A valve to which errors or faults leave too little time or lift for any motion stays shut; so
+    does one whose command was made for another speed, or repeated, if it allows none.
     """
     n = plant.engine.n_cylinders
     if controller.n_cylinders != n:
@@ -95,12 +125,18 @@ def simulate(
             f"demand has shape {demands.shape}, but must hold one charge in kg for each event"
         )
     speeds = _each("speed_rpm", np.asarray(speed_rpm, dtype=float), m)
+    wide_open = plant.engine.throttle.wide_open_deg
+    throttles = _each(
+        "throttle_deg", np.asarray(wide_open if throttle_deg is None else throttle_deg, float), m
+    )
     use = _each("active", np.asarray(active, dtype=bool), m)
     in_range("duration_jitter", valves.duration_jitter, 0.0, 0.01, "s")
     offsets = _each("duration_offset", np.asarray(valves.duration_offset, dtype=float), n)
     sensor_seed, jitter_seed = np.random.SeedSequence(seed).generate_state(2)
     random = np.random.default_rng(jitter_seed)
     late = offsets[np.arange(m) % n] + valves.duration_jitter * random.standard_normal(m)
+    effects = FaultEffects(faults, n, seed)
+    engines = TrueEngine(plant, conditions, m)
 
     state = controller.initial_state() if state is None else state
     if state.event_index:
@@ -108,110 +144,84 @@ def simulate(
             f"the state has seen {state.event_index} events, but a run starts before the first: "
             "export it and import it again"
         )
-    first = [_first_command(controller, state, float(demands[0]), float(speeds[0]), i, offsets)
-             for i in range(n)]  # fmt: skip
-    run = plant.start(float(speeds[0]), first, event_advance_deg=LATCH_DEG, on_infeasible="limit")
-    loop = _Sensing(sensors or SensorSet(), int(sensor_seed))
-    loop.settle(plant.steady_cycle(float(speeds[0]), first, on_infeasible="limit").trace_at(
-        trace_step_deg))  # fmt: skip
-
-    names = [
-        "time",
-        "charge",
-        "estimate",
-        "estimate_sigma",
-        "pumping_loss",
-        "lift_mm",
-        "duration_deg",
-        "flow_gain",
-        "duration_offset",
-        "charge_factor",
+    speed, throttle, true = float(speeds[0]), float(throttles[0]), engines.at(0)
+    commands = [_first_command(controller, state, demands[:n], speed, i) for i in range(n)]
+    first = [
+        delivered(true, c, speed, float(offset), SOUND).command
+        for c, offset in zip(commands, offsets, strict=True)
     ]
-    out = {key: np.full(m, math.nan) for key in names}
-    flags = {key: np.zeros(m, dtype=bool) for key in ("limited", "adapted")}
-    for k in range(m):
-        speed = float(speeds[k])
-        opening = loop.clock + LATCH_DEG / (6.0 * speed)
-        step = controller.step(
-            state, loop.measurement(opening, speed), float(demands[k]), active=bool(use[k])
+    run = true.start(speed, first, throttle, event_advance_deg=LATCH_DEG, on_infeasible="limit")
+    sensing = Sensing(SensorSet() if sensors is None else sensors, int(sensor_seed), effects)
+    cycle = true.steady_cycle(speed, first, throttle, on_infeasible="limit")
+    sensing.settle(cycle.trace_at(trace_step_deg))
+    zero = sensing.clock + LATCH_DEG / (6.0 * speed)
+    sensing.begin(zero)
+
+    signals = EventSignals(m, n)
+    out = signals.arrays
+    recorder = (
+        None
+        if record_deg is None
+        else TraceRecorder(
+            in_range("record_deg", record_deg, 0.001, plant.engine.event_angle_deg, "deg")
         )
-        state, command, found = step.state, step.command, step.diagnostics
-        delivered = command.duration_deg + 6.0 * speed * float(late[k])
+    )
+    for k in range(m):
+        cylinder, speed, true = k % n + 1, float(speeds[k]), engines.at(k)
+        if true is not run.plant:
+            run = run.continue_with(true)
+        start = sensing.clock
+        opening = start + LATCH_DEG / (6.0 * speed)
+        told_speed = effects.told_speed(opening - zero, speed)
+        missed = effects.missed(opening - zero)
+        if missed:
+            command = commands[cylinder - 1]
+            signals.missed(k)
+        else:
+            told = sensing.measurement(k, opening, told_speed)
+            step = controller.step(state, told, float(demands[k]), active=bool(use[k]))
+            state, command = step.state, step.command
+            commands[cylinder - 1] = command
+            signals.computed(k, step.diagnostics)
+        motion = delivered(
+            true,
+            command,
+            speed,
+            float(late[k]),
+            effects.valve(cylinder, opening - zero),
+            known_speed=told_speed == speed and not missed,
+        )
         event = run.step_event(
-            command.replace(duration_deg=max(delivered, 0.1)),
+            motion.command,
             speed_rpm=speed,
+            throttle_deg=float(throttles[k]),
             trace_step_deg=trace_step_deg,
         )
         assert event.trace is not None  # it was asked for
-        loop.observe(event.trace)
-        loop.shuts(k, opening, delivered, speed)
-        out["time"][k] = opening
+        sensing.observe(event.trace)
+        sensing.shuts(k, cylinder, opening, motion.duration_deg, speed, motion.opens)
+        out["time"][k], out["told_speed_rpm"][k] = opening - zero, told_speed
         out["lift_mm"][k], out["duration_deg"][k] = command.lift_mm, command.duration_deg
-        out["flow_gain"][k], out["duration_offset"][k], out["charge_factor"][k] = found.parameters
-        flags["limited"][k], flags["adapted"][k] = found.limited, found.adapted
-        for done in event.completed:
-            opened = k - (k - (done.cylinder - 1)) % n  # its last IVO
-            if opened >= 0:
-                out["charge"][opened] = done.air_charge
-                out["pumping_loss"][opened] = done.pumping_loss
-        if found.estimate is not None:
-            of = found.estimate.event_index
-            out["estimate"][of] = found.estimate.charge
-            out["estimate_sigma"][of] = math.sqrt(found.estimate.variance)
-    time = out.pop("time")
+        out["delivered_lift_mm"][k] = event.delivered_lift_mm
+        out["delivered_duration_deg"][k] = motion.command.duration_deg if motion.opens else 0.0
+        signals.completed(k, event)
+        if recorder is not None:
+            recorder.add(event.trace, start)
+        if progress is not None and ((k + 1) % _TOLD_EVERY == 0 or k + 1 == m):
+            progress(k + 1, m)
     return ClosedLoopResult(
         name=name,
         n_cylinders=n,
         seed=seed,
-        time=time - time[0],
         cylinder=np.arange(m) % n + 1,
         speed_rpm=speeds.copy(),
         demand=demands,
+        throttle_deg=throttles.copy(),
         **out,
-        **flags,
         final_state=state,
+        faults=effects.all,
+        trace=None if recorder is None else recorder.trace(),
     )
-
-
-class _Sensing:
-    """Sensors at work, and what they have not yet told the controller."""
-
-    def __init__(self, sensors: SensorSet, seed: int) -> None:
-        self._run = sensors.start(seed)
-        slow = [s for s in (sensors.maf, sensors.map) if isinstance(s, AirSensor)]
-        self._settling = SETTLING_LAGS * max((s.time_constant + s.delay for s in slow), default=0.0)
-        self._open: deque[tuple[float, int, float]] = deque()  # time of closing, event, duration
-
-    @property
-    def clock(self) -> float:
-        """Time up to which the sensors have seen the plant, s."""
-        return self._run.maf.state.clock
-
-    def settle(self, cycle: Trace) -> None:
-        """Show the sensors a periodic cycle until they have settled."""
-        self.observe(cycle)
-        while self.clock < self._settling:
-            self.observe(cycle)
-
-    def observe(self, trace: Trace) -> None:
-        """Show the sensors what follows."""
-        self._samples = self._run.observe(trace)
-
-    def shuts(self, event: int, opening: float, duration_deg: float, speed_rpm: float) -> None:
-        """Note the duration of an event, to be told when its valve has shut."""
-        measured = float(self._run.duration.measure(max(duration_deg, 0.0), speed_rpm).duration)
-        self._open.append((opening + duration_deg / (6.0 * speed_rpm), event, measured))
-
-    def measurement(self, opening: float, speed_rpm: float) -> Measurement:
-        """Return what the controller is told before an IVO."""
-        shut = []
-        while self._open and self._open[0][0] <= self.clock:
-            _, event, measured = self._open.popleft()
-            shut.append((event, measured))
-        maf, map_ = self._samples.maf, self._samples.map
-        return Measurement(
-            opening, speed_rpm, maf.time, maf.value, map_.time, map_.value, tuple(shut)
-        )
 
 
 def _each(name: str, values: np.ndarray, size: int) -> np.ndarray:
@@ -226,13 +236,14 @@ def _each(name: str, values: np.ndarray, size: int) -> np.ndarray:
 def _first_command(
     controller: AirChargeController,
     state: ControllerState,
-    demand: float,
+    demands: np.ndarray,
     speed_rpm: float,
     i: int,
-    offsets: FloatArray,
 ) -> ValveCommand:
-    """Command of a cylinder before the run, as its valve delivers it."""
+    """Command of a cylinder before the run, for the first demand above zero of the first cycle."""
+    wanted = demands[demands > 0.0]
+    if not wanted.size or (i < demands.size and demands[i] == 0.0):
+        return _SHUT
     known = state.adaptation.of(i + 1)
-    point = controller.model.inverse(demand, speed_rpm, known, state.density)
-    late = 6.0 * speed_rpm * float(offsets[i])
-    return ValveCommand(point.lift_mm, point.duration_deg + late)
+    point = controller.model.inverse(float(wanted[0]), speed_rpm, known, state.density)
+    return ValveCommand(point.lift_mm, point.duration_deg)

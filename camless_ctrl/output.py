@@ -61,6 +61,36 @@ def reserved_file(path: Path | None) -> Iterator[OutputFile | None]:
         Path(temporary).unlink(missing_ok=True)
 
 
+@contextmanager
+def reserved_path(path: Path) -> Iterator[Path]:
+    """Reserve a place for a file that another library writes; yields where to write meanwhile.
+
+    As `reserved_file`: what is yielded becomes `path` when the block ends, and vanishes when the
+    block raises. Its name ends like that of `path`, which may tell the format.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be made there; the message names path and remedy.
+    """
+    path = Path(path)
+    require_place(path)
+    try:
+        handle, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix
+        )
+    except OSError as error:
+        raise OutputError(_cannot_write(path.parent, error)) from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def require_place(path: Path) -> None:
     """Check that a file can be made at a path, before the work that fills it.
 

@@ -6,15 +6,17 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from plant import CrankAnglePlant, Engine, MeanValuePlant
 
+from .._event_facts import of_index, with_durations
 from ..charge_model import ChargeModel
 from ..closed_loop import ValveErrors, simulate
-from ..controller import AirChargeController, ControllerState, ControlStep, _with_durations
+from ..controller import AirChargeController, ControllerState, ControlStep
 from ..controller_cases import JITTER
 from ..controller_design import design_controller
 from ..event_data import ChargeEvidence, Measurement
@@ -61,14 +63,18 @@ def measure_controller(passes: int) -> ControllerTiming:
     passes : int
         Times that the run is gone through; the least median counts.
     """
-    controller = _controller()
+    controller = bench_controller()
     events = _recorded(controller)
     law = controller.adaptation
 
     def evidence(state: ControllerState, measurement: Measurement) -> ChargeEvidence:
         found = controller.estimator.update(state.estimator, measurement).final
-        pending = _with_durations(state.pending, measurement.durations)
-        said = None if found is None else controller._evidence(pending, found)
+        pending = with_durations(state.pending, measurement.durations)
+        said = (
+            None
+            if found is None
+            else controller._evidence(of_index(pending, found.event_index), found)
+        )
         assert said is not None  # the sensors are sound, and the beginning is left out
         return said
 
@@ -92,7 +98,9 @@ def measure_controller(passes: int) -> ControllerTiming:
     )
 
 
-def _controller() -> AirChargeController:
+@cache
+def bench_controller() -> AirChargeController:
+    """Return the controller that is timed, known around one speed."""
     plant = CrankAnglePlant(Engine.paper(), runner=True, oscillation=True)
     maps = MeanValuePlant.fit(plant, speed_range_rpm=_RANGE_RPM, tolerance=0.02, most_points=2000)
     path = OptimalPath.fit(maps, speeds_rpm=np.linspace(*_RANGE_RPM, 5), nodes=17)

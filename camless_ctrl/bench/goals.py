@@ -8,6 +8,7 @@ from ..requirements import Requirement, RequirementResult
 from .comparison import Comparison
 from .controller_timing import ControllerTiming
 from .kernel_timing import KernelFigures, KernelSurvey
+from .loop_timing import LoopTiming
 from .points import CHARGE_BAR, LOSS_BAR
 from .scaling import ThreadScaling
 from .startup import Startup
@@ -51,6 +52,12 @@ UPDATE = Requirement(
     "Median time of one update of the air-charge controller in Python",
 )  # fmt: skip
 
+CLOSED_LOOP = Requirement(
+    "closed-loop-speed", 20.0, "1", "at least", "goal of the closed loop",
+    "Simulated over wall time of controller, full plant and sensors: four cylinders, 1500 rpm, "
+    "one core",
+)  # fmt: skip
+
 
 def judge(
     nominal: tuple[KernelFigures, ...],
@@ -59,6 +66,7 @@ def judge(
     threads: ThreadScaling,
     startup: Startup,
     controller: ControllerTiming,
+    loop: LoopTiming,
 ) -> tuple[RequirementResult, ...]:
     """Hold what was measured against the goals."""
     slowest = max(nominal, key=lambda f: f.us_per_cycle)
@@ -75,6 +83,7 @@ def judge(
         RequirementResult(IMPORT, startup.import_s),
         RequirementResult(FIRST_CYCLE, startup.first_cycle_s),
         RequirementResult(UPDATE, controller.step_us, str(controller)),
+        RequirementResult(CLOSED_LOOP, loop.times_real, str(loop)),
     )
 
 

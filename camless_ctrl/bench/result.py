@@ -14,34 +14,14 @@ from .comparison import Comparison, PeerFigures
 from .controller_timing import ControllerTiming
 from .floor import STAGES
 from .kernel_timing import KernelFigures, KernelSurvey
+from .loop_timing import LoopTiming
 from .points import BenchPoint
 from .reference import METHOD
 from .scaling import CylinderScaling, PointScaling, ThreadScaling
 from .startup import Startup
+from .table import Table
 
 SECONDS_PER_CYCLE = 120.0  # over the speed in rpm
-
-
-@dataclass(frozen=True)
-class Table:
-    """A title, names of columns, and rows of cells."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-
-    def __str__(self) -> str:
-        """Return the table as text; the first column aligns to the left."""
-        lines = [self.columns, *self.rows]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
-        text = [
-            "  ".join(
-                cell.rjust(width) if k else cell.ljust(width)
-                for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in lines
-        ]
-        return "\n".join([self.title, *text])
 
 
 @dataclass(frozen=True)
@@ -69,6 +49,8 @@ class BenchResult:
         What a second process waits for.
     controller : ControllerTiming
         One update of the air-charge controller.
+    loop : LoopTiming
+        Controller, plant and sensors in closed loop.
     goals : tuple of RequirementResult
         The goals, met or missed.
     """
@@ -84,6 +66,7 @@ class BenchResult:
     cylinders: CylinderScaling
     startup: Startup
     controller: ControllerTiming
+    loop: LoopTiming
     goals: tuple[RequirementResult, ...]
 
     @property
@@ -102,6 +85,7 @@ class BenchResult:
             self._nominal_table(),
             self._survey_table(),
             self._cost_table(),
+            self.loop.table(),
         )
 
     @property
@@ -166,6 +150,7 @@ class BenchResult:
                 "model_us": self.controller.model_us,
                 "law_us": self.controller.law_us,
             },
+            "closed_loop": self.loop.as_dict(),
             "startup": {
                 "import_s": self.startup.import_s,
                 "first_cycle_s": self.startup.first_cycle_s,

@@ -13,6 +13,7 @@ from .controller_timing import measure_controller
 from .floor import stage_time_ns
 from .goals import judge
 from .kernel_timing import survey_kernel, time_call, time_kernel
+from .loop_timing import measure_loop
 from .peers import installed_peers
 from .points import PEER_POINTS, BenchPoint, nominal_points, random_points
 from .reference import Reference, solve_references
@@ -101,6 +102,8 @@ def run_bench(
     cylinders = measure_cylinders(options.repeats)
     say("controller", 0, 1)
     controller = measure_controller(options.repeats)
+    say("closed loop", 0, 1)
+    loop = measure_loop(options.repeats)
     return BenchResult(
         nominal,
         call_us,
@@ -113,7 +116,8 @@ def run_bench(
         cylinders,
         startup,
         controller,
-        judge(nominal, survey, comparison, threads, startup, controller),
+        loop,
+        judge(nominal, survey, comparison, threads, startup, controller, loop),
     )
 
 

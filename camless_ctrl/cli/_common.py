@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..requirements import RequirementResult
 
 MET, NOT_MET, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PIPE_WIDTH = 140  # columns of tables where the output is no terminal
 
 JsonFile = Annotated[
     Path | None, Parameter(name="--json", help="Write the result to this file as JSON.")
@@ -40,10 +41,16 @@ def at_least_one(name: str, values: Sequence[float]) -> None:
 
 
 def out(quiet: bool) -> Console:
-    """Return the console of results, on standard output."""
+    """Return the console of results, on standard output.
+
+    In a file or a pipe, where nothing tells a width, tables are as wide as their words need.
+    """
     from rich.console import Console
 
-    return Console(quiet=quiet, highlight=False, soft_wrap=True)
+    console = Console(quiet=quiet, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = max(console.width, PIPE_WIDTH)
+    return console
 
 
 def messages() -> Console:
@@ -88,16 +95,22 @@ def bar(label: str, quiet: bool) -> Iterator[Bar]:
 
 
 def print_table(
-    console: Console, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
+    console: Console,
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    words: Collection[str] = (),
 ) -> None:
-    """Print a table; its first column is words, the others align to the right."""
+    """Print a table; its first column and those of `words` align to the left, others right."""
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
     table = Table(title=Text(title), title_justify="left", box=box.SIMPLE_HEAD)
     for k, name in enumerate(columns):
-        table.add_column(Text(name), justify="left" if k == 0 else "right", no_wrap=k == 0)
+        left = k == 0 or name in words
+        table.add_column(Text(name), justify="left" if left else "right", no_wrap=k == 0)
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))  # Text: no markup in what users give
     console.print(table)

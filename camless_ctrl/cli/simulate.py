@@ -2,43 +2,79 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from ._common import (
-    JsonFile,
-    Quiet,
-    Seed,
-    at_least_one,
-    bar,
-    out,
-    print_requirements,
-    status,
-)
+from ._common import JsonFile, Quiet
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+ScenarioName = Annotated[
+    str | None,
+    Parameter(
+        help="A TOML file, one of its scenarios as FILE::NAME, a folder of such files, or the "
+        "name of a shipped scenario."
+    ),
+]
 Demands = Annotated[
-    tuple[float, ...],
+    tuple[float, ...] | None,
     Parameter(
         name="--demand-mg",
         consume_multiple=True,
         negative=(),
-        help="Demands in turn, mg per event.",
+        help="Load step: demands in turn, mg per event; 170 400 170 by default.",
     ),
 ]
 
 
 def simulate(
+    scenario: ScenarioName = None,
+    /,
     *,
-    speed_rpm: Annotated[float, Parameter(help="Engine speed, rpm.")] = 1500.0,
-    demand_mg: Demands = (170.0, 400.0, 170.0),
-    cycles: Annotated[int, Parameter(help="Engine cycles per demand.")] = 40,
+    plot: Annotated[
+        Path | None, Parameter(help="Scenario: draw the run to this file (.png, .svg, .pdf).")
+    ] = None,
+    json: JsonFile = None,
+    csv: Annotated[
+        Path | None, Parameter(help="Scenario: write the signals of each event to this file.")
+    ] = None,
+    netcdf: Annotated[
+        Path | None, Parameter(help="Scenario: write the signals with units to this file.")
+    ] = None,
+    crank_deg: Annotated[
+        float | None,
+        Parameter(
+            help="Scenario: keep signals at about this step of the crank too, deg, with --netcdf "
+            "or --json."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        Parameter(help="Seed of all random work: the scenario's, or 0 by default."),
+    ] = None,
+    replay: Annotated[
+        Path | None,
+        Parameter(
+            help="Run a result again that --json or --netcdf wrote; tell whether it is the same."
+        ),
+    ] = None,
+    list_: Annotated[
+        bool, Parameter(name="--list", negative="", help="Print the shipped scenarios.")
+    ] = False,
+    speed_rpm: Annotated[
+        float | None, Parameter(help="Load step: engine speed, rpm; 1500 by default.")
+    ] = None,
+    demand_mg: Demands = None,
+    cycles: Annotated[
+        int | None, Parameter(help="Load step: engine cycles per demand; 40 by default.")
+    ] = None,
     adapt: Annotated[
-        bool, Parameter(negative="--feedforward-alone", help="Adapt parameters of each cylinder.")
-    ] = True,
+        bool | None,
+        Parameter(
+            negative="--feedforward-alone", help="Load step: adapt parameters of each cylinder."
+        ),
+    ] = None,
     bars: Annotated[
         bool,
         Parameter(
@@ -46,132 +82,105 @@ def simulate(
             help="Run the cases of the performance table with all laws instead of a load step.",
         ),
     ] = False,
-    seed: Seed = 0,
     seeds: Annotated[
         int | None,
         Parameter(
-            help="Runs, with this seed and the following: 8 by default (requirements hold the "
-            "mean), 20 with --bars (each run is held)."
+            help="Load step: runs, with this seed and the following: 8 by default (requirements "
+            "hold the mean), 20 with --bars (each run is held)."
         ),
     ] = None,
-    json: JsonFile = None,
     quiet: Quiet = False,
 ) -> int:
-    """Run load steps with one weak cylinder against the full plant, sensors and actuators real.
+    """Run a scenario in closed loop with the full plant, and hold it to its requirements.
 
-    With --bars, run every case of the performance table: with the controller, with feedforward
-    and integral correction alone, and with the LTI law of the robust synthesis.
+    Without a scenario, run load steps with one weak cylinder, sensors and actuators real. With
+    --bars, run every case of the performance table: with the controller, with feedforward and
+    integral correction alone, and with the LTI law of the robust synthesis.
 
-    The exit status is 1 when a requirement on the load step is not met, or with --bars when the
-    controller misses a bar; bars of single events count where the valves do not jitter.
+    The exit status is 1 when a requirement is not met, with --bars when the controller misses a
+    bar (bars of single events count where the valves do not jitter), and with --replay when the
+    result is not the same bit for bit.
+
+    Example: camless simulate scenario.toml --plot run.png --json run.json
+
+    Example: camless simulate --replay run.json
 
     Example: camless simulate --demand-mg 170 400 170 --json run.json
+
     Example: camless simulate --bars --json bars.json
     """
     from plant._checks import whole
 
+    of_scenario = {
+        "--plot": plot,
+        "--csv": csv,
+        "--netcdf": netcdf,
+        "--crank-deg": crank_deg,
+    }
+    of_step = {
+        "--speed-rpm": speed_rpm,
+        "--demand-mg": demand_mg,
+        "--cycles": cycles,
+        "--adapt or --feedforward-alone": adapt,
+        "--seeds": seeds,
+        "--bars": bars or None,
+    }
+    if seed is not None:
+        whole("--seed", seed, 0, 2**63 - 1)
+    if list_ or replay is not None:
+        more = {"SCENARIO": scenario, "--json": json, "--seed": seed, **of_scenario, **of_step}
+        if list_:
+            _refuse({"--replay": replay, **more}, "--list takes no other option")
+        else:
+            _refuse(more, "--replay runs what the file says and writes nothing")
+    elif scenario is not None:
+        _refuse(of_step, "a scenario says that itself")
+    else:
+        _refuse(of_scenario, "it belongs to a scenario, and none is given")
+
+    if list_:
+        from ._simulate_scenario import list_scenarios
+
+        return list_scenarios(quiet)
+    if replay is not None:
+        from ._simulate_scenario import replay_result
+
+        return replay_result(replay, quiet)
+    if scenario is not None:
+        from ._simulate_scenario import run_scenarios
+
+        outputs = {"--plot": plot, "--json": json, "--csv": csv, "--netcdf": netcdf}
+        return run_scenarios(scenario, outputs, crank_deg, seed, quiet)
+
+    from . import _simulate_load_step as step
+
+    first = 0 if seed is None else seed
     runs = (20 if bars else 8) if seeds is None else seeds
-    whole("--seed", seed, 0, 2**63 - 1)
     whole("--seeds", runs, 1, 10_000)
     if bars:
-        return _bars(seed, runs, json, quiet)
-    return _load_step(speed_rpm, demand_mg, cycles, adapt, seed, runs, json, quiet)
-
-
-def _load_step(
-    speed_rpm: float,
-    demand_mg: tuple[float, ...],
-    cycles: int,
-    adapt: bool,
-    seed: int,
-    seeds: int,
-    json: Path | None,
-    quiet: bool,
-) -> int:
-    from plant._checks import in_range, positive, whole
-    from plant._map_grid import SPEED_RANGE_RPM
-
-    from ..assessment import AFTER_CYCLES, as_dict, assess_load_step
-    from ..closed_loop_result import averaged
-    from ..controller_design import design_controller
-    from ..jsonable import to_json
-    from ..load_step import run_load_step
-    from ..output import reserved_file
-
-    at_least_one("--demand-mg", demand_mg)
-    in_range("--speed-rpm", speed_rpm, *SPEED_RANGE_RPM, "rpm", remedy="the maps end there")
-    for value in demand_mg:
-        positive("--demand-mg", value, "mg")
-    whole(
-        "--cycles",
-        cycles,
-        AFTER_CYCLES + 1,
-        100_000,
-        remedy=f"errors are averaged from cycle {AFTER_CYCLES} on",
+        return step.bars(first, runs, json, quiet)
+    return step.load_step(
+        step.SPEED_RPM if speed_rpm is None else speed_rpm,
+        step.DEMAND_MG if demand_mg is None else demand_mg,
+        step.CYCLES if cycles is None else cycles,
+        adapt is not False,
+        first,
+        runs,
+        json,
+        quiet,
     )
-    with reserved_file(json) as file:
-        with bar("maps", quiet) as progress:
-            design = design_controller(progress=progress)
-            controller = design.controller if adapt else design.feedforward_alone()
-            runs = []
-            for k in range(seeds):
-                progress("closed loop", k, seeds)
-                runs.append(
-                    run_load_step(
-                        controller,
-                        speed_rpm=speed_rpm,
-                        demand_mg=demand_mg,
-                        cycles=cycles,
-                        seed=seed + k,
-                    )
-                )
-        found = assess_load_step(runs)
-        result = runs[0]
-        if file is not None:
-            signals = {
-                str(name): {"unit": signal.attrs["units"], "values": signal.to_numpy()}
-                for name, signal in result.to_dataset().items()
-            }
-            content = {
-                "name": result.name,
-                "seed": result.seed,
-                "seeds": seeds,
-                "adapt": adapt,
-                "signals": signals,
-                "requirements": [as_dict(f) for f in found],
-            }
-            file.write(to_json(content))
-    console = out(quiet)
-    console.print(str(averaged(runs)), markup=False)
-    print_requirements(console, found)
-    return status(found)
 
 
-def _bars(seed: int, seeds: int, json: Path | None, quiet: bool) -> int:
-    from ..assessment import assess_performance
-    from ..baselines import ADAPTIVE, LTI, baseline_controllers, lti_controller
-    from ..controller_design import design_controller
-    from ..jsonable import to_json
-    from ..output import reserved_file
-    from ..performance import measure_performance
+def _refuse(options: Mapping[str, object], why: str) -> None:
+    """Refuse options that would be passed over.
 
-    with reserved_file(json) as file:
-        with bar("maps", quiet) as progress:
-            design = design_controller(progress=progress)
-            controllers = baseline_controllers(design)
-            controllers[LTI] = lti_controller(design, seed=seed, progress=progress)
-            table = measure_performance(
-                controllers,
-                design,
-                seeds=seeds,
-                seed=seed,
-                progress=lambda done, total: progress("closed loop", done, total),
-            )
-        if file is not None:
-            file.write(to_json(table.to_dict()))
-    console = out(quiet)
-    console.print("Performance on the full plant, median and worst seed:", markup=False)
-    console.print(str(table), markup=False)
-    found = assess_performance(table, ADAPTIVE)
-    print_requirements(console, found)
-    return status(found)
+    Raises
+    ------
+    ParameterError
+        If one is given.
+    """
+    from plant import ParameterError
+
+    for option, value in options.items():
+        if value is not None:
+            raise ParameterError(f"{option} is given, but {why}: leave it out")

@@ -2,15 +2,18 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 
-from camless_ctrl.bench import BenchOptions, BenchPoint, run_bench
+from camless_ctrl.bench import BenchOptions, BenchPoint, loop_timing, run_bench
 from camless_ctrl.bench._explicit_peers import RungeKutta4
 from camless_ctrl.bench._scipy_peers import ScipyOdeint
 from camless_ctrl.cli import main
+from camless_ctrl.controller import AirChargeController
 from camless_ctrl.jsonable import to_json
-from plant import ParameterError, ValveCommand
+from plant import ParameterError, PlantRun, ValveCommand
+from plant.sensor_run import DurationRun, SensorRun
 
 MISSING = {"a solver": "not installed: pip install a-solver"}
 
@@ -60,6 +63,12 @@ def test_json_has_the_stated_form(result):
     threads = content["threads"]
     one, two = threads["points_per_second"]
     assert threads["efficiency"] == pytest.approx(two / one / 2.0)
+    loop = content["closed_loop"]
+    parts = [loop[f"{name}_us"] for name in ("plant", "sensors", "controller", "rest")]
+    assert min(parts) > 0.0
+    assert loop["event_us"] == pytest.approx(sum(parts))
+    # An event of four cylinders at 1500 rpm is 180 deg at 9000 deg/s.
+    assert loop["times_real"] == pytest.approx(20e3 / loop["event_us"])
     assert set(content["startup"]) >= {"import_s", "first_cycle_s"}
     assert content["scaling"]["points"] == [10, 20]
     assert content["scaling"]["cylinders"] == list(range(1, 13))
@@ -78,6 +87,7 @@ def test_goals_are_shown_met_or_missed(result):
         "import": 0.5,
         "first-cycle": 0.5,
         "controller-update": 50.0,
+        "closed-loop-speed": 20.0,
     }
     assert {name: found.requirement.bound for name, found in goals.items()} == bounds
     assert goals["kernel-charge"].value == pytest.approx(
@@ -95,6 +105,33 @@ def test_worst_point_is_named(result):
     assert str(worst.point) in str(result)
 
 
+def test_time_of_the_loop_is_put_down_to_the_part_that_takes_it(monkeypatch):
+    clock = 0.0
+
+    def costly(owner, method, seconds):
+        """Let a call take as long by a clock that stands still otherwise."""
+        call = getattr(owner, method)
+
+        def taking(*given, **named):
+            nonlocal clock
+            clock += seconds
+            return call(*given, **named)
+
+        monkeypatch.setattr(owner, method, taking)
+
+    monkeypatch.setattr(loop_timing, "time", SimpleNamespace(perf_counter=lambda: clock))
+    costly(PlantRun, "step_event", 2e-3)
+    costly(SensorRun, "observe", 5e-4)  # of air flow and of pressure
+    costly(DurationRun, "measure", 1e-3)
+    costly(AirChargeController, "step", 4e-3)
+    found = loop_timing.measure_loop(1)
+    assert found.plant_us == pytest.approx(2000.0)
+    assert found.sensors_us == pytest.approx(2000.0)
+    assert found.controller_us == pytest.approx(4000.0)
+    assert found.rest_us == pytest.approx(0.0, abs=1e-3)
+    assert found.times_real == pytest.approx(20.0 / 8.0)
+
+
 @pytest.mark.usefixtures("few_peers")
 def test_command_prints_tables_and_ends_with_status_0(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -109,6 +146,8 @@ def test_command_prints_tables_and_ends_with_status_0(tmp_path, monkeypatch, cap
         "parallel efficiency",
         "import plant",
         "12 cylinders",
+        "Closed loop of 4 cylinders at 1500 rpm",
+        "closed-loop-speed",
         "kernel-time",
     )
     for words in wanted:

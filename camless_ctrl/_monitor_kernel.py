@@ -79,7 +79,8 @@ _UNTOLD_CYCLES = 2  # without any duration
 _SILENT_CYCLES = 3  # without a duration of one valve
 _YOUNG = 0.25  # of the time since the start, over which the level is averaged at first
 _SCATTER = 0.7  # limits of a duration error, 1 sigma, beyond which valves scatter
-_ROUGH_SHARE = 0.2  # the same of one cylinder
+_ROUGH = 0.9  # the same of one valve, over some cycles
+_ROUGH_SHARE = 0.2  # of the last error in its mean square
 _SPREAD_SHARE = 0.05  # of the last error in the slow mean square
 TWICE = 2  # times in a row that a valve has to be off
 _THRICE = 3  # estimates in a row that clear a valve
@@ -243,6 +244,8 @@ def judge(
         drop = _PULSE * 0.25 * (inflow / dt / numbers[AREA]) ** 2  # Eq. 14, of small drops
     dead = _dead(values, MAP_LAST, numbers, dt)
     rows[PRESSURE, last], rows[DROP, last] = math.nan if dead else pressure, drop
+    if dead and values[MAP_STILL] * numbers[PRESSURE_RATE] > numbers[PRESSURE_LIMIT]:
+        values[AMBIENT] = math.nan  # by now it may be another one
     rows[LEVELS, last] = level
 
     # Pressure before the throttle, against what it was
@@ -291,8 +294,8 @@ def judge(
         if i == cylinder:
             rows[SILENT, i] += 1.0
         alone = rows[SILENT, i] > _SILENT_CYCLES and values[UNTOLD] < n
-        rough = rows[ROUGH, i] > (_SCATTER * numbers[ERROR_LIMIT]) ** 2
-        smooth = rows[ROUGH, i] < (_HALF * _SCATTER * numbers[ERROR_LIMIT]) ** 2
+        rough = rows[ROUGH, i] > (_ROUGH * numbers[ERROR_LIMIT]) ** 2
+        smooth = rows[ROUGH, i] < (_HALF * _ROUGH * numbers[ERROR_LIMIT]) ** 2
         if rows[BAD, i] >= TWICE or alone or rough:
             rows[BAD, i] = max(rows[BAD, i], TWICE)
             if rows[GOOD, i] >= _THRICE and smooth and not alone:

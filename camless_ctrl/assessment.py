@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,13 +18,17 @@ if TYPE_CHECKING:
     from uncertainty.quantification_result import Quantification
 
     from .estimation_check import EstimationCheck
+    from .false_alarms import FalseAlarmCount
+    from .fault_check import FaultRow, FaultTable
     from .feedforward_check import FeedforwardCheck
     from .loop_verdict import LoopVerdict
     from .performance import PerformanceTable
     from .robust_analysis import RobustAnalysis
     from .robustness import RobustnessResult
+    from .scenario_suite import ScenarioSuite
     from .structured_robustness import StructuredRobustness
 
+SENSORS = ("maf", "map", "duration", "speed")  # targets of faults
 AFTER_CYCLES = 10  # after each load step, before errors are averaged
 
 
@@ -241,6 +245,58 @@ def _single(values: Sequence[float]) -> str:
         return "one seed"
     middle = float(np.median(values))
     return f"{len(values)} seeds; one by one {middle:.2f} % median, {max(values):.2f} % worst"
+
+
+def of_sensors(rows: Iterable[FaultRow]) -> list[FaultRow]:
+    """Rows whose fault is one of a sensor or of the speed signal."""
+    return [row for row in rows if row.fault.of_kind.target in SENSORS]
+
+
+def assess_faults(table: FaultTable) -> list[RequirementResult]:
+    """Requirements on faults: found or harmless, how soon, at what cost, and what is left after."""
+    missed = ", ".join(row.fault.kind for row in table.missed)
+    sensors = of_sensors(table.rows)
+    late = _most(sensors, lambda row: row.detection_events)
+    costly = _most(sensors, lambda row: 100.0 * row.during)
+    left = _most(table.rows, lambda row: 100.0 * row.recovered)
+    return [
+        evaluate("faults-missed", len(table.missed) if table.rows else math.nan, missed),
+        evaluate("fault-detection", *late),
+        evaluate("fault-charge-error", *costly),
+        evaluate("fault-recovery", *left),
+    ]
+
+
+def _most(rows: Iterable[FaultRow], figure: Callable[[FaultRow], float]) -> tuple[float, str]:
+    """Largest figure of those that have one, and whose it is; NaN if none has."""
+    known = [row for row in rows if not math.isnan(figure(row))]
+    if not known:
+        return math.nan, "no such fault"
+    worst = max(known, key=figure)
+    return figure(worst), worst.fault.kind
+
+
+def assess_false_alarms(found: FalseAlarmCount) -> list[RequirementResult]:
+    """Requirement on fault-free operation; fewer cycles than asked for decide nothing."""
+    from .false_alarms import CYCLES
+
+    names = ", ".join(f"{name} {count}" for name, count in found.by_name.items())
+    if found.cycles < CYCLES:
+        return [evaluate("false-alarms", math.nan, f"only {found.cycles} cycles were run")]
+    return [evaluate("false-alarms", found.alarms, names)]
+
+
+def assess_scenarios(suite: ScenarioSuite) -> list[RequirementResult]:
+    """Requirement on the library of scenarios; misses by jitter alone are told, not counted."""
+    words = [
+        f"{check.result.scenario.name}: {check.verdict.requirement.name}"
+        + " (jitter, not counted)" * check.jitter_alone
+        for check in suite.missed
+    ]
+    counted = sum(check.counts for check in suite.checks)
+    return [
+        evaluate("scenario-requirements", counted if suite.checks else math.nan, "; ".join(words))
+    ]
 
 
 def least(values: Iterable[float]) -> float:

@@ -265,8 +265,8 @@ class AirChargeController:
             watch, adaptation = self.faults.judge(
                 watch, facts, timing.alarms, measurement.time, adaptation
             )
-        learns = self.adapt and active and held == 0 and (watch is None or watch.learns)
-        if final is not None and learns:
+        learns = self.adapt and active and held == 0
+        if final is not None and learns and (watch is None or watch.learns_from(final.cylinder)):
             evidence = self._evidence(event, final)
             if evidence is not None:
                 moved = self.adaptation.update(adaptation, evidence)

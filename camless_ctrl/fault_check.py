@@ -259,11 +259,13 @@ def _judged(run: ClosedLoopResult, fault: Fault, first: int, last: int) -> Fault
     n = run.n_cylinders
     error = run.charge / run.demand - 1.0
     alarms, mode = run.alarms, run.mode
-    raised = np.flatnonzero(alarms[first:])
+    # A fault of one event is noticed at the next; what stood before is not its.
+    new = alarms[first : last + n] & ~alarms[first - 1]
+    raised = np.flatnonzero(new)
     alarm, events = "", math.nan
     if raised.size:
         events = float(raised[0])
-        alarm = " ".join(Alarm(int(alarms[first + raised[0]])).names)
+        alarm = " ".join(Alarm(int(new[raised[0]])).names)
     late = np.flatnonzero(mode[last:] != Mode.NORMAL)
     normal = 0.0 if not late.size else float(late[-1] + 1)
     if normal >= mode.size - last:

@@ -6,8 +6,8 @@ mode        when                                    what
 NORMAL      no alarm stands
 DEGRADED    one source is not believed              it is done without, and nothing is learnt;
                                                     what was learnt since it may have gone wrong
-                                                    is taken back. A valve alone stops nothing:
-                                                    it is adapted to as far as that goes
+                                                    is taken back. Of a valve alone only its own
+                                                    cylinder is not learnt from
 SAFE        two sources are not, or half of the     the same, and the demand is held under a
             valves are suspect                      share of what the engine can take in
 ==========  ======================================  ===========================================
@@ -29,6 +29,7 @@ from .fault_monitor import EventFacts, FaultMonitor, MonitorState
 
 # Plain numbers: what is done with an `IntFlag` takes ten times as long.
 NOTHING_LEARNT = int(Alarm.MAF | Alarm.MAP | Alarm.DURATION | Alarm.INNOVATION)
+_VALVE = int(Alarm.VALVE)
 PRESSURE = int(Alarm.MAP)
 _SPEED = int(Alarm.SPEED)
 _SOURCES = (int(Alarm.MAF), PRESSURE, int(Alarm.DURATION))
@@ -54,10 +55,9 @@ class Watch(NamedTuple):
     lost: int  # events in a row in which the estimator contradicts a sensor that is wrong
     starts_anew: bool  # whether the estimator is to begin anew
 
-    @property
-    def learns(self) -> bool:
-        """Whether what is measured may be learnt from."""
-        return not self.alarms & NOTHING_LEARNT
+    def learns_from(self, cylinder: int) -> bool:
+        """Whether what is measured of a cylinder (from 1) may be learnt from."""
+        return not self.alarms & NOTHING_LEARNT and cylinder not in self.monitor.suspects
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,8 @@ class FaultReaction:
         """
         monitor = self.monitor.judge(watch.monitor, facts)
         alarms, before, trusted = monitor.alarms | brief, watch.alarms, watch.trusted
-        if alarms & NOTHING_LEARNT and not before & NOTHING_LEARNT:
+        stops = alarms & NOTHING_LEARNT and not before & NOTHING_LEARNT
+        if stops or (alarms & _VALVE and not before & (_VALVE | NOTHING_LEARNT)):
             adaptation = trusted[0].adaptation  # the fault may have been learnt
         elif (
             monitor.calm and abs(time - trusted[-1].time) >= self.trust_time

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _REFERENCE = re.compile(r'(\bid="|xlink:href="#|\bhref="#|url\(#)')
 _COORDINATES = re.compile(r' (?:d|x|y)="[^"]*"')
 _LONG = re.compile(r"-?\d+\.\d{3,}")
+_PADDING = re.compile(r"[ \t]*<!--.*?-->\n?|^[ \t]+|[ \t]+$", re.DOTALL | re.MULTILINE)
 _METADATA = re.compile(r"<metadata>.*?</metadata>", re.DOTALL)
 
 
@@ -45,6 +46,8 @@ def svg(drawn: Figure | Axes, prefix: str) -> str:
     width = re.search(r'width="([\d.]+)pt"', head)
     head = re.sub(r' (width|height)="[\d.]+pt"', "", head)
     size = f' style="width:{float(width[1]) * 4 / 3:.0f}px"' if width else ""
+    # What only people who read the file see is a tenth of it.
+    rest = _PADDING.sub("", rest)
     # A hundredth of a point is far below what can be seen, and half of the page.
     rest = _COORDINATES.sub(lambda found: _LONG.sub(_shorter, found[0]), rest)
     return _REFERENCE.sub(rf"\g<1>{prefix}-", f'{head}{size} aria-hidden="true">{rest}').strip()

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from camless_ctrl.adaptation import GainSchedule
+from camless_ctrl.alarms import Mode
 from camless_ctrl.assessment import (
     as_dict,
     assess_boundary,
     assess_estimation,
+    assess_false_alarms,
+    assess_faults,
     assess_feedforward,
     assess_load_step,
     assess_maps,
     assess_performance,
     assess_robustness,
+    assess_scenarios,
     assess_structured,
     assess_throttle_steps,
     assess_uncertainty,
@@ -23,6 +27,9 @@ from camless_ctrl.assessment import (
     sentence,
 )
 from camless_ctrl.closed_loop_result import ClosedLoopResult
+from camless_ctrl.false_alarms import FalseAlarmCount
+from camless_ctrl.fault_check import FaultRow, FaultTable
+from camless_ctrl.faults import Fault
 from camless_ctrl.requirements import REQUIREMENTS, evaluate
 from plant import ParameterError
 
@@ -83,6 +90,86 @@ def run_of(error, seed=0):
     return ClosedLoopResult("run", 2, seed, flat, np.arange(m) % 2 + 1, 1500 * flat, 1e-4 * flat,
                             charge, charge, 1e-6 * flat, flat, 3 * flat, 100 * flat, flat,
                             0 * flat, flat, flat > 2, flat > 2)  # fmt: skip
+
+
+def fault_row(kind, *, events=5.0, during=0.02, adapted=0.0, recovered=0.001):
+    return FaultRow(Fault(kind, 1.0), 1500.0, "maf", events, Mode.DEGRADED, 0.02, during, 0.02,
+                    adapted, recovered, 20.0)  # fmt: skip
+
+
+def fault_free(cycles=10_000, alarms=0):
+    return FalseAlarmCount(cycles, 4 * cycles, 40, alarms, {"maf": alarms} if alarms else {}, ())
+
+
+def suite_of(*checks):
+    """Suite of pairs of whether a check is met and whether it is missed by jitter alone."""
+    made = [
+        SimpleNamespace(
+            result=SimpleNamespace(scenario=SimpleNamespace(name=f"s{k}")),
+            verdict=SimpleNamespace(met=met, requirement=SimpleNamespace(name="error")),
+            jitter_alone=by_jitter,
+            counts=not (met or by_jitter),
+        )
+        for k, (met, by_jitter) in enumerate(checks)
+    ]
+    return SimpleNamespace(checks=made, missed=[c for c in made if not c.verdict.met])
+
+
+def test_faults_are_judged_by_the_worst_of_the_sensors_and_by_what_any_leaves_behind():
+    rows = (
+        fault_row("maf-drift", events=61.0),
+        fault_row("speed-spike", during=0.16),
+        fault_row("duration-missing", events=math.nan),  # harmless: no detection is asked for
+        # Valves cost charge, and are not held to the bounds of sensors; what is left after is.
+        fault_row("valve-stuck", events=90.0, during=1.0, adapted=1.0, recovered=0.011),
+        fault_row("missed-computation", events=80.0, during=0.5, adapted=math.nan),
+    )
+    found = by_name(assess_faults(FaultTable(rows)))
+    assert {n: (r.value, r.note) for n, r in found.items()} == {
+        "faults-missed": (0, ""),
+        "fault-detection": (61.0, "maf-drift"),
+        "fault-charge-error": (pytest.approx(16.0), "speed-spike"),
+        "fault-recovery": (pytest.approx(1.1), "valve-stuck"),
+    }
+    assert [row.met for row in found.values()] == [True, False, False, False]
+
+
+def test_a_fault_that_is_neither_found_nor_harmless_is_missed():
+    hidden = fault_row("map-offset", events=math.nan, adapted=0.021)
+    found = by_name(assess_faults(FaultTable((fault_row("maf-nan"), hidden))))
+    assert (found["faults-missed"].value, found["faults-missed"].note) == (1, "map-offset")
+    assert not found["faults-missed"].met
+
+
+def test_faults_that_were_not_tried_meet_nothing():
+    assert not any(row.met for row in assess_faults(FaultTable(())))
+    # A computation that is missed is no sensor's fault.
+    found = by_name(assess_faults(FaultTable((fault_row("missed-computation"),))))
+    assert math.isnan(found["fault-detection"].value)
+    assert math.isnan(found["fault-charge-error"].value)
+    assert found["fault-recovery"].met
+
+
+@pytest.mark.parametrize(
+    ("run", "value", "met"),
+    [
+        (fault_free(), 0.0, True),
+        (fault_free(alarms=3), 3.0, False),
+        (fault_free(cycles=9_999), math.nan, False),  # too few to say
+    ],
+)
+def test_false_alarms_count_events_of_ten_thousand_cycles(run, value, met):
+    (found,) = assess_false_alarms(run)
+    assert found.value == pytest.approx(value, nan_ok=True)
+    assert found.met == met
+
+
+def test_scenarios_are_judged_by_misses_that_count_and_tell_the_others():
+    (found,) = assess_scenarios(suite_of((True, False), (False, True), (False, False)))
+    assert found.value == 1
+    assert found.note == "s1: error (jitter, not counted); s2: error"
+    assert assess_scenarios(suite_of((True, False), (False, True)))[0].met
+    assert not assess_scenarios(suite_of())[0].met
 
 
 def test_load_step_is_judged_by_the_mean_over_seeds():
@@ -223,6 +310,9 @@ def test_every_requirement_is_assessed_by_one_function():
         *assess_feedforward(path),
         *assess_estimation(SimpleNamespace(results=[estimate], worst_cylinder_error=0.0)),
         *assess_performance(SimpleNamespace(of=lambda law: []), "law"),
+        *assess_faults(FaultTable((fault_row("maf-nan"),))),
+        *assess_false_alarms(fault_free()),
+        *assess_scenarios(suite_of((True, False))),
     ]
     assert sorted(row.requirement.name for row in found) == sorted(REQUIREMENTS)
 

@@ -7,6 +7,7 @@ from .closed_loop import ClosedLoopChapter
 from .deltas import DeltasChapter
 from .engine import EngineChapter
 from .estimation import EstimationChapter
+from .faults import FaultsChapter
 from .feedforward import FeedforwardChapter
 from .intake import IntakeChapter
 from .maps import MapsChapter
@@ -14,6 +15,7 @@ from .performance import PerformanceChapter
 from .reproducibility import ReproducibilityChapter
 from .requirements import RequirementsChapter
 from .robustness import RobustnessChapter
+from .scenarios import ScenariosChapter
 from .section_six import SectionSixChapter
 from .structured import StructuredRobustnessChapter
 from .summary import SummaryChapter
@@ -40,6 +42,8 @@ def default_chapters() -> tuple[Chapter, ...]:
         EstimationChapter(),
         ClosedLoopChapter(),
         PerformanceChapter(),
+        FaultsChapter(),
+        ScenariosChapter(),
         RequirementsChapter(),
         ReproducibilityChapter(),
     )

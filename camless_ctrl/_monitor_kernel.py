@@ -80,6 +80,7 @@ _SILENT_CYCLES = 3  # without a duration of one valve
 _YOUNG = 0.25  # of the time since the start, over which the level is averaged at first
 _SCATTER = 0.7  # limits of a duration error, 1 sigma, beyond which valves scatter
 _ROUGH = 0.9  # the same of one valve, over some cycles
+_JUMP = 2.5  # limits that a change from cycle to cycle may count: one jump is no scatter
 _ROUGH_SHARE = 0.2  # of the last error in its mean square
 _SPREAD_SHARE = 0.05  # of the last error in the slow mean square
 TWICE = 2  # times in a row that a valve has to be off
@@ -172,14 +173,17 @@ def told(values: FloatArray, n: int, cylinder: int, error: float, numbers: Float
     if values[UNTOLD] > n:  # the sensor is back, and the others are still to come
         rows[SILENT, :] = 0.0
     values[UNTOLD] = 0.0
+    before, most = rows[ERROR, cylinder], numbers[LARGEST_ERROR]
+    if abs(before) <= most and abs(error) <= most:
+        # Of steady durations half the square of a change is, in the mean, their variance.
+        change = min(abs(error - before), _JUMP * numbers[ERROR_LIMIT])
+        rows[ROUGH, cylinder] += _ROUGH_SHARE * (0.5 * change**2 - rows[ROUGH, cylinder])
     rows[ERROR, cylinder] = error
     rows[SILENT, cylinder] = 0.0
     middle, heard = _middle(rows[ERROR], np.empty(n))
     if math.isfinite(error) and 2 * heard > n:
         apart = min(abs(error - middle), numbers[LARGEST_ERROR])  # one cannot count for ever
         values[SPREAD] += _SPREAD_SHARE * (apart**2 - values[SPREAD])
-        apart = min(apart, 1.25 * numbers[ERROR_LIMIT])  # nor by itself: a bias begins like that
-        rows[ROUGH, cylinder] += _ROUGH_SHARE * (apart**2 - rows[ROUGH, cylinder])
     if _far(rows[ERROR], cylinder, numbers):
         rows[BAD, cylinder] += 1.0
         rows[GOOD, cylinder] = 0.0

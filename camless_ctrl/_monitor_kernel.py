@@ -39,8 +39,12 @@ from .event_data import PARTS
     MAF_OFF,  # events in a row in which the air flow contradicts the rest
     LATE,  # events in a row in which all durations are off alike
     SPREAD,  # slow mean square of the duration errors about their median, s2
+    MAF_OUT,  # time for which the alarm of a sensor stands, s
+    MAP_OUT,
+    ALONE,  # time for which INNOVATION stands and no sensor is named, s
+    BASE,  # innovations of most cylinders as they are without a fault, 1
     HEAD,
-) = range(26)
+) = range(30)
 RATIO, FLOW, ERROR, PRESSURE, DROP, LEVELS, ODD, SILENT, BAD, GOOD, ROUGH = range(11)  # rows
 ROWS = 11
 
@@ -63,7 +67,9 @@ ROWS = 11
     LARGEST_ERROR,
     VALVE_LIMIT,
     RECOVERY,
-) = range(17)
+    LEVEL_BOUND,
+    PATIENCE,
+) = range(19)
 
 _MAF, _MAP, _DURATION, _VALVE, _INNOVATION = (
     int(a) for a in (Alarm.MAF, Alarm.MAP, Alarm.DURATION, Alarm.VALVE, Alarm.INNOVATION)
@@ -84,6 +90,11 @@ _JUMP = 2.5  # limits that a change from cycle to cycle may count: one jump is n
 _ROUGH_SHARE = 0.2  # of the last error in its mean square
 _SPREAD_SHARE = 0.05  # of the last error in the slow mean square
 TWICE = 2  # times in a row that a valve has to be off
+_SETTLED = 15  # cycles from the start, after which the learnt level is to be a possible one
+_ODD_FACTOR = 1.5  # over the innovations without a fault, that is allowed
+_ODD_SHARE = 0.02  # of the last innovation in that, at the start; a tenth of it later
+_LEVEL_RATE = 0.005  # 1/s, by which the level may have changed while MAF was not believed
+_LARGEST_CHANGE = 0.15  # 1, of it
 _THRICE = 3  # estimates in a row that clear a valve
 
 _V = "Array(f8, 1, 'C', readonly=True)"
@@ -134,9 +145,9 @@ def _readings(values: FloatArray, at: int, readings: FloatArray, dt: float) -> f
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def _dead(values: FloatArray, at: int, numbers: FloatArray, dt: float) -> bool:
-    """Whether a sensor holds one reading, or gives none."""
-    still = values[at + 1] >= numbers[SAME] and values[at + 2] >= dt
+def _dead(values: FloatArray, at: int, numbers: FloatArray, dt: float, flows: bool) -> bool:
+    """Whether a sensor holds one reading though air flows, or gives none."""
+    still = flows and values[at + 1] >= numbers[SAME] and values[at + 2] >= dt
     return still or values[at + 3] > max(numbers[GONE], 1.5 * dt)
 
 
@@ -242,11 +253,15 @@ def judge(
     rows[FLOW, last] = math.nan
     drop = math.nan
     if inflow > 0.0 and dt > 0.0:
-        if math.isfinite(flow) and math.isfinite(previous):
+        if charge > 0.0 and math.isfinite(flow) and math.isfinite(previous):
             seen = flow * dt + numbers[MAF_TIME] * (values[MAF_LAST] - previous)
             rows[FLOW, last] = math.log(max(seen / inflow, 1e-3))
         drop = _PULSE * 0.25 * (inflow / dt / numbers[AREA]) ** 2  # Eq. 14, of small drops
-    dead = _dead(values, MAP_LAST, numbers, dt)
+    elif values[EVENTS] > 1.0:
+        drop = 0.0  # all valves have been kept shut
+    if charge == 0.0:
+        rows[RATIO, last] = math.nan
+    dead = _dead(values, MAP_LAST, numbers, dt, inflow > 0.0)
     rows[PRESSURE, last], rows[DROP, last] = math.nan if dead else pressure, drop
     if dead and values[MAP_STILL] * numbers[PRESSURE_RATE] > numbers[PRESSURE_LIMIT]:
         values[AMBIENT] = math.nan  # by now it may be another one
@@ -262,9 +277,12 @@ def judge(
     off = abs(away) > numbers[PRESSURE_LIMIT]
     near = abs(away) < _HALF * numbers[PRESSURE_LIMIT]
     _latched(values, MAP_GOOD, dead or off, near and not dead, _MAP, numbers[RECOVERY])
-    if not int(values[ALARMS]) & _MAP and math.isfinite(away):
+    lost = int(values[ALARMS]) & _MAP != 0
+    values[MAP_OUT] = values[MAP_OUT] + dt if lost and not dead else 0.0
+    # A reading that stays where it is may be right: MAF corrects what it has wrong.
+    if math.isfinite(away) and (not lost or values[MAP_OUT] > numbers[PATIENCE]):
         most = numbers[PRESSURE_RATE] * dt
-        values[AMBIENT] += min(max(0.1 * away, -most), most)
+        values[AMBIENT] += min(max((1.0 if lost else 0.1) * away, -most), most)
 
     # Estimated over expected charge
     if int(values[ALARMS]) & _MAP != before & _MAP:
@@ -291,7 +309,7 @@ def judge(
                 rows[BAD, i] += 1.0
                 rows[GOOD, i] = 0.0
             else:
-                if not _far(rows[ERROR], i, numbers):
+                if rows[BAD, i] < TWICE and not _far(rows[ERROR], i, numbers):
                     rows[BAD, i] = 0.0
                 if apart < _HALF * numbers[VALVE_LIMIT]:
                     rows[GOOD, i] += 1.0
@@ -302,7 +320,8 @@ def judge(
         smooth = rows[ROUGH, i] < (_HALF * _ROUGH * numbers[ERROR_LIMIT]) ** 2
         if rows[BAD, i] >= TWICE or alone or rough:
             rows[BAD, i] = max(rows[BAD, i], TWICE)
-            if rows[GOOD, i] >= _THRICE and smooth and not alone:
+            near = smooth and not alone and not _far(rows[ERROR], i, numbers)
+            if rows[GOOD, i] >= _THRICE and near:
                 rows[BAD, i] = 0.0
         if rows[BAD, i] >= TWICE:
             suspects += 1
@@ -314,11 +333,18 @@ def judge(
         rows[ODD, (cylinder - _LATENCY) % n] = _GATE
     elif math.isfinite(innovation):
         rows[ODD, (cylinder - _LATENCY) % n] = min(innovation, _GATE)
+    alarms = int(values[ALARMS])
     if values[WAIT] == 0.0 and (refused or math.isfinite(innovation)):
         _ranked(rows[ODD], ranked)
-        score = values[SCORE] + ranked[(n - 1) // 2] - numbers[ALLOWANCE]
+        odd = ranked[(n - 1) // 2]
+        if values[LEARNT] >= 0.0 and odd < _GATE:
+            odd = 0.0  # at the start the model may be wrong; windows that are refused count
+        allowed = max(numbers[ALLOWANCE], _ODD_FACTOR * values[BASE])
+        score = values[SCORE] + odd - min(allowed, _HALF * _GATE)
         values[SCORE] = min(max(score, 0.0), 2.0 * numbers[SCORE_LIMIT])
-    alarms = int(values[ALARMS])
+        if not alarms & _SENSORS:
+            share = _ODD_SHARE if values[LEARNT] >= 0.0 else 0.1 * _ODD_SHARE
+            values[BASE] += share * (min(ranked[(n - 1) // 2], _GATE) - values[BASE])
     if values[SCORE] > numbers[SCORE_LIMIT]:
         alarms |= _INNOVATION
     elif values[SCORE] < 0.25 * numbers[SCORE_LIMIT]:
@@ -333,20 +359,29 @@ def judge(
     limit = numbers[RATIO_LIMIT] if values[LEARNT] < 0.0 else numbers[FIRST_RATIO]
     levels, _ = _middle(rows[LEVELS], ranked)
     moved = levels - values[LEVEL]
-    dead = _dead(values, MAF_LAST, numbers, dt) and inflow > 0.0
-    off = enough and abs(middle) > limit
+    dead = _dead(values, MAF_LAST, numbers, dt, True) and inflow > 0.0
+    # While it is not believed, the level may change as it does without a fault.
+    lost = int(values[ALARMS]) & _MAF != 0
+    values[MAF_OUT] = values[MAF_OUT] + dt if lost else 0.0
+    room = _HALF * numbers[RATIO_LIMIT]
+    room = max(room, min(room + _LEVEL_RATE * values[MAF_OUT], _LARGEST_CHANGE))
+    off = enough and abs(middle) > max(limit, room)
     if 2 * some >= n:
         # Without estimates, or with strange ones, the flow itself has to say it.
         off = off or (not enough and abs(flows) > numbers[FIRST_RATIO])
-        off = off or (strange and abs(bias) > numbers[FLOW_LIMIT] and values[LEARNT] < 0.0)
+        doubt = strange and values[LEARNT] < 0.0 and not lost
+        off = off or (doubt and abs(bias) > numbers[FLOW_LIMIT])
     # What has been learnt of a drift, and what has not been yet
-    drift = moved + middle if enough else moved
+    drift = moved + middle if enough and not lost else moved
     off = off or (values[LEARNT] < 0.0 and abs(drift) > numbers[LEVEL_LIMIT])
+    off = off or (values[EVENTS] > _SETTLED * n and abs(levels) > numbers[LEVEL_BOUND])
     off = off and suspects == 0 and values[WAIT] == 0.0 and not scattered
     values[MAF_OFF] = values[MAF_OFF] + 1.0 if off else 0.0
     off = 2.0 * values[MAF_OFF] > n
-    near = enough and abs(middle) < _HALF * limit and not strange
+    near = enough and abs(middle) < room and not off
     _latched(values, MAF_GOOD, dead or off, near and not dead, _MAF, numbers[RECOVERY])
+    if lost and not int(values[ALARMS]) & _MAF and abs(middle) > _HALF * numbers[RATIO_LIMIT]:
+        values[LEARNT] = 0.0  # what holds now is to be found
 
     # Durations
     values[UNTOLD] += 1.0 if charge > 0.0 else 0.0
@@ -363,7 +398,9 @@ def judge(
     alarms = int(values[ALARMS])
     if alarms & _DURATION & ~before:
         values[WAIT] = 2.0 * n  # events that were commanded with what was learnt of it
-    calm = alarms == 0 and values[SCORE] < 0.25 * numbers[SCORE_LIMIT]
+    unnamed = alarms & _SENSORS == _INNOVATION
+    values[ALONE] = values[ALONE] + dt if unnamed else 0.0
+    calm = alarms & ~_VALVE == 0 and values[SCORE] < 0.25 * numbers[SCORE_LIMIT]
     calm = calm and enough and abs(middle) < _HALF * numbers[RATIO_LIMIT]
     calm = calm and not abs(moved) > _HALF * numbers[LEVEL_LIMIT]
     values[CALM] = calm

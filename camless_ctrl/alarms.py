@@ -10,7 +10,7 @@ class Mode(enum.IntEnum):
 
     NORMAL = 0  # nothing stands, or nothing that matters
     DEGRADED = 1  # one source of information is not believed; nothing is learnt
-    SAFE = 2  # several are not: nothing measured is used, and the charge is limited
+    SAFE = 2  # several are not: the demand is limited as well
 
 
 class Alarm(enum.IntFlag):

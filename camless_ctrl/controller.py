@@ -257,7 +257,8 @@ class AirChargeController:
         event = None if final is None else of_index(pending, final.event_index)
         if event is None or event.shut:
             final = None
-        held = self.hold_events if found.rejected or timing.alarms else max(state.held - 1, 0)
+        strange = found.rejected and not (watch is not None and watch.monitor.suspects)
+        held = self.hold_events if strange or timing.alarms else max(state.held - 1, 0)
 
         adaptation, projected, adapted = state.adaptation, False, False
         if self.faults is not None and watch is not None:
@@ -363,12 +364,12 @@ class AirChargeController:
         """Density after one event, from the ambient pressure that the estimator sees.
 
         It follows within `_DENSITIES` only, those of the charge model. Where the pressure sensor
-        is not believed, it stays; where the air flow is not, the monitors tell the pressure.
+        or the air flow is not believed, the monitors tell it.
         """
         if watch is not None:
             trusted = watch.monitor.ambient_pressure
             if watch.alarms & NOTHING_LEARNT:
-                ambient_pressure = math.nan if watch.alarms & PRESSURE else trusted
+                ambient_pressure = trusted
             elif abs(ambient_pressure - trusted) > self.density_jump:
                 return density  # the monitors have not decided yet
         if not math.isfinite(ambient_pressure) or self.density_gain == 0.0:

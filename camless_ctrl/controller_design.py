@@ -141,7 +141,7 @@ def design_controller(
         ),
         duration_noise=sensors.duration.noise,
         ambient_pressure=base.ambient_pressure,
-        faults=FaultReaction(FaultMonitor.of(base)),
+        faults=FaultReaction(FaultMonitor.of(base, sensors)),
         speed_range_rpm=(
             _SPEED_MARGINS[0] * float(model.speeds_rpm[0]),
             _SPEED_MARGINS[1] * float(model.speeds_rpm[-1]),

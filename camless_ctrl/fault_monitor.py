@@ -32,12 +32,15 @@ import numpy as np
 from plant import Engine
 from plant._checks import positive, replace_fields, whole
 from plant.kinematics import FloatArray
+from plant.sampling import TimeSampling
+from plant.sensors import AirSensor, SensorSet
 
 from ._pickling import by_fields
 from .alarms import Alarm
 from .event_data import EventRecord, Measurement
 
 _VALVE = int(Alarm.VALVE)
+_LEAST_GAP = 5e-3  # s
 _NO_SHARES = np.zeros(0)
 _UNITS = {
     "maf_time": "s",
@@ -48,6 +51,7 @@ _UNITS = {
     "pressure_rate": "Pa/s",
     "duration_limit": "s",
     "largest_duration_error": "s",
+    "patience": "s",
 }
 
 
@@ -58,6 +62,7 @@ class MonitorState(NamedTuple):
     alarms: int  # `Alarm` bits that stand; a plain number, which is ten times as fast
     suspects: tuple[int, ...]  # cylinders (from 1) with a VALVE alarm
     calm: bool  # whether nothing is suspicious, so that what is learnt now can be trusted
+    unnamed: float = 0.0  # s, for which INNOVATION stands and no sensor is named
 
     @property
     def ambient_pressure(self) -> float:
@@ -126,6 +131,10 @@ class FaultMonitor:
         |ln| of a cylinder's estimated over promised charge less that of the others, 1.
     recovery_events : int
         Events without a finding that clear an alarm.
+    level_bound : float
+        |ln| of the learnt level that is possible, 1.
+    patience : float
+        Time for which a pressure that has jumped is not believed, s; then it is followed, slowly.
     """
 
     n_cylinders: int  # 1
@@ -136,7 +145,7 @@ class FaultMonitor:
     flow_limit: float = 0.08  # 1
     level_limit: float = 0.085  # 1
     level_time: float = 5.0  # s
-    innovation_allowance: float = 1.4  # 1
+    innovation_allowance: float = 1.5  # 1
     score_limit: float = 8.0  # 1
     same_readings: int = 25  # 1
     longest_gap: float = 5e-3  # s
@@ -146,6 +155,8 @@ class FaultMonitor:
     largest_duration_error: float = 1e-3  # s
     valve_limit: float = 0.25  # 1
     recovery_events: int = 12  # 1
+    level_bound: float = 0.30  # 1
+    patience: float = 10.0  # s
     _numbers: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -165,10 +176,26 @@ class FaultMonitor:
         return by_fields(self)
 
     @classmethod
-    def of(cls, engine: Engine, **options: Any) -> Self:
-        """Return the monitors of an unthrottled engine; `options` are the other fields."""
+    def of(cls, engine: Engine, sensors: SensorSet | None = None, **options: Any) -> Self:
+        """Return the monitors of an unthrottled engine.
+
+        Parameters
+        ----------
+        engine : Engine
+            The engine.
+        sensors : SensorSet, optional
+            What is assumed of the sensors: lag of the MAF, time between two readings.
+        **options
+            The other fields.
+        """
         area = engine.throttle.area(engine.throttle.wide_open_deg)
-        return cls(n_cylinders=engine.n_cylinders, throttle_area=area, **options)
+        known = SensorSet() if sensors is None else sensors
+        readings = [s for s in (known.maf, known.map) if isinstance(s, AirSensor)]
+        periods = [s.sampling.period for s in readings if isinstance(s.sampling, TimeSampling)]
+        found: dict[str, Any] = {"longest_gap": max(2.5 * max(periods, default=0.0), _LEAST_GAP)}
+        if isinstance(known.maf, AirSensor) and known.maf.time_constant > 0.0:
+            found["maf_time"] = known.maf.time_constant
+        return cls(n_cylinders=engine.n_cylinders, throttle_area=area, **{**found, **options})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with the given fields changed."""
@@ -225,7 +252,8 @@ class FaultMonitor:
         if alarms & _VALVE:
             bad = values[k.HEAD + k.BAD * n : k.HEAD + (k.BAD + 1) * n]
             suspects = tuple(int(i) + 1 for i in np.flatnonzero(bad >= k.TWICE))
-        return MonitorState(values, alarms, suspects, values[k.CALM] > 0.0)
+        calm, unnamed = values[k.CALM] > 0.0, float(values[k.ALONE])
+        return MonitorState(values, alarms, suspects, bool(calm), unnamed)
 
 
 @functools.cache

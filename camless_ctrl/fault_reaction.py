@@ -33,6 +33,7 @@ _VALVE = int(Alarm.VALVE)
 PRESSURE = int(Alarm.MAP)
 _SPEED = int(Alarm.SPEED)
 _SOURCES = (int(Alarm.MAF), PRESSURE, int(Alarm.DURATION))
+_INNOVATION = int(Alarm.INNOVATION)
 _LOST = int(Alarm.MAF | Alarm.INNOVATION)  # the estimator may have followed a wrong sensor
 
 
@@ -54,10 +55,14 @@ class Watch(NamedTuple):
     mode: Mode
     lost: int  # events in a row in which the estimator contradicts a sensor that is wrong
     starts_anew: bool  # whether the estimator is to begin anew
+    tolerated: bool  # whether INNOVATION alone has stood so long that the model must be wrong
 
     def learns_from(self, cylinder: int) -> bool:
         """Whether what is measured of a cylinder (from 1) may be learnt from."""
-        return not self.alarms & NOTHING_LEARNT and cylinder not in self.monitor.suspects
+        doubted = self.alarms & NOTHING_LEARNT
+        if doubted == _INNOVATION and self.tolerated:
+            doubted = 0
+        return not doubted and cylinder not in self.monitor.suspects
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +89,11 @@ class FaultReaction:
         Events in a row with a wrong speed, after which it counts as a source that is not believed.
     lost_events : int
         Events with strange innovations beside a MAF alarm, after which the estimator begins anew:
-        it has followed that sensor, and is in its way back.
+        it has followed that sensor, and is in its way back. Again after twice, four times ... as
+        many.
+    innovation_patience : float
+        Time after which strange innovations for which no sensor is to blame are learnt from, s:
+        it is the model that is wrong.
     """
 
     monitor: FaultMonitor
@@ -96,6 +105,7 @@ class FaultReaction:
     highest_acceleration_rpm_s: float = 8000.0  # rpm/s
     speed_events: int = 4  # 1
     lost_events: int = 16  # 1
+    innovation_patience: float = 2.0  # s
 
     def __post_init__(self) -> None:
         in_range("safe_share", self.safe_share, 0.0, 1.0, "1", open_low=True)
@@ -106,11 +116,12 @@ class FaultReaction:
         positive("highest_acceleration_rpm_s", self.highest_acceleration_rpm_s, "rpm/s")
         whole("speed_events", self.speed_events, 1, 100_000)
         whole("lost_events", self.lost_events, 1, 100_000)
+        positive("innovation_patience", self.innovation_patience, "s")
 
     def start(self, adaptation: Any) -> Watch:
         """Return the state before the first event; `adaptation` is what is known by then."""
         first = Trusted(0.0, adaptation)
-        return Watch(self.monitor.start(), (first,), 1.0, 0, 0, Mode.NORMAL, 0, False)
+        return Watch(self.monitor.start(), (first,), 1.0, 0, 0, Mode.NORMAL, 0, False, False)
 
     def speed_is_wrong(self, told_rpm: float, clock_rpm: float, elapsed: float) -> bool:
         """Whether a told speed contradicts the clock; `elapsed` since the last IVO, s."""
@@ -149,13 +160,17 @@ class FaultReaction:
             wrong = watch.wrong_speeds + 1 if brief & _SPEED else 0
             mode = self._mode(alarms, monitor.suspects, wrong)
             lost = watch.lost + 1 if alarms & _LOST == _LOST else 0
-            anew = lost >= self.lost_events
-            lost = 0 if anew else lost
+            turns, rest = divmod(lost, self.lost_events)
+            anew = rest == 0 and turns > 0 and turns & (turns - 1) == 0  # 1, 2, 4, 8 ... times
         if mode is Mode.SAFE:
             reach = max(reach - 1.0 / self.reach_events, self.safe_share)
         elif reach < 1.0:
             reach = min(reach + 1.0 / self.reach_events, 1.0)
-        return Watch(monitor, trusted, reach, wrong, alarms, mode, lost, anew), adaptation
+        tolerated = monitor.unnamed > self.innovation_patience
+        return (
+            Watch(monitor, trusted, reach, wrong, alarms, mode, lost, anew, tolerated),
+            adaptation,
+        )
 
     def _mode(self, alarms: int, suspects: tuple[int, ...], wrong_speeds: int) -> Mode:
         lost = sum(1 for source in _SOURCES if source & alarms)

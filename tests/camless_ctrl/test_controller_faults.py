@@ -291,7 +291,8 @@ def test_safe_commands_do_not_depend_on_what_sensors_say(run):
     a, b = (result.duration_deg[settled] for result in runs)
     np.testing.assert_allclose(a, b, rtol=0.02)
     for result in runs:
-        assert np.ptp(result.duration_deg[settled].reshape(-1, N), axis=0).max() < 1e-9
+        # but for the density, which still closes on the pressure that is believed
+        assert np.ptp(result.duration_deg[settled].reshape(-1, N), axis=0).max() < 1e-4
 
 
 # -- cylinders that are kept shut ------------------------------------------------------------

@@ -203,8 +203,8 @@ def test_a_reach_that_turns_on_its_way_does_not_jump():
 
 def test_the_estimator_begins_anew_after_enough_strange_events():
     what = reaction(lost_events=40)
-    watches, _ = run(what, 100, alarms=Alarm.MAF | Alarm.INNOVATION)
-    assert [k + 1 for k, w in enumerate(watches) if w.starts_anew] == [40, 80]
+    watches, _ = run(what, 400, alarms=Alarm.MAF | Alarm.INNOVATION)
+    assert [k + 1 for k, w in enumerate(watches) if w.starts_anew] == [40, 80, 160, 320]
     apart, _ = run(what, 39, alarms=Alarm.MAF | Alarm.INNOVATION)
     apart += run(what, 1, apart[-1], alarms=Alarm.MAF)[0]
     apart += run(what, 39, apart[-1], alarms=Alarm.MAF | Alarm.INNOVATION)[0]
@@ -212,11 +212,29 @@ def test_the_estimator_begins_anew_after_enough_strange_events():
 
 
 @pytest.mark.parametrize(
+    ("alarms", "learns"),
+    [
+        (Alarm.INNOVATION, True),
+        (Alarm.INNOVATION | Alarm.VALVE, True),
+        (Alarm.INNOVATION | Alarm.MAF, False),
+        (Alarm.MAP, False),
+    ],
+)
+def test_strange_innovations_alone_are_learnt_from_in_the_end(alarms, learns):
+    what = reaction(innovation_patience=2.0)
+    told = [MonitorState(np.zeros(1), int(alarms), (), False, unnamed) for unnamed in (1.9, 2.1)]
+    for state, believed in zip(told, (False, learns), strict=True):
+        watch, _ = what.judge(what.start("nothing"), state, 0, 5.0, "now")
+        assert watch.learns_from(1) is believed
+        assert watch.mode is Mode.DEGRADED
+
+
+@pytest.mark.parametrize(
     ("name", "value"),
     [
         ("safe_share", 0.0), ("safe_share", 1.5), ("reach_events", 0), ("trust_time", 0.0),
         ("kept", 0), ("kept", 1.5), ("speed_tolerance", -0.1), ("speed_events", 0),
-        ("highest_acceleration_rpm_s", float("nan")), ("lost_events", 0),
+        ("highest_acceleration_rpm_s", float("nan")), ("lost_events", 0), ("innovation_patience", 0.0),
     ],
 )  # fmt: skip
 def test_impossible_numbers_are_refused(name, value):

@@ -12,6 +12,7 @@ from plant._checks import in_range, one_of, whole
 
 from ._metric import Measured, Metric, check_cylinders, check_window
 from ._metric_events import Events, fault_of, mean_of_known
+from ._metric_held import HeldDemandMetric
 
 if TYPE_CHECKING:
     from .scenario_result import ScenarioResult
@@ -20,50 +21,21 @@ _WINDOWS = ("all", "before", "during", "after")
 
 
 @dataclass(frozen=True)
-class SteadyError(Metric):
+class SteadyError(HeldDemandMetric):
     """Largest averaged charge error of a cylinder while the demand is held.
 
-    Every stretch of held demand counts that is longer than `after_cycles`; the error of each
-    cylinder is averaged over the cycles that follow, at most to the end of the stretch.
-
-    Parameters
-    ----------
-    after_cycles : int
-        Cycles after the start of each stretch that are left out.
-    average_cycles : int
-        Cycles over which noise is averaged out.
-    from_s, until_s : float
-        Stretch of time that counts, s.
-    without_cylinders : tuple of int
-        Cylinders (from 1) that are left out.
+    Its parameters are those of `HeldDemandMetric`.
     """
 
     kind: ClassVar[str] = "steady-error"
     unit: ClassVar[str] = "%"
     description: ClassVar[str] = "largest averaged charge error of a cylinder at held demand"
 
-    after_cycles: int = 10
-    average_cycles: int = 30
-    from_s: float = 0.0
-    until_s: float = math.inf
-    without_cylinders: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        whole("after_cycles", self.after_cycles, 0, 1_000_000)
-        whole("average_cycles", self.average_cycles, 1, 1_000_000)
-        check_window(self.from_s, self.until_s)
-        check_cylinders(self.without_cylinders)
-
     def measure(self, result: ScenarioResult) -> Measured:
         """Return the largest error in %, with the event that has most part in it."""
         events = Events.of(result, self.without_cylinders)
-        found = Measured(
-            math.nan,
-            note=f"no demand is held for more than {self.after_cycles} cycles in this time",
-        )
-        for start, stop in events.held(self.from_s, self.until_s):
-            rows, cylinders = events.cycles(start, stop)
-            part = rows[self.after_cycles : self.after_cycles + self.average_cycles]
+        found = self._nothing()
+        for first, part, cylinders in self._stretches(events):
             if not np.isfinite(part).any():
                 continue
             mean = mean_of_known(part)
@@ -71,8 +43,7 @@ class SteadyError(Metric):
             value = 100.0 * abs(float(mean[column]))
             if not value <= found.value:
                 side = math.copysign(1.0, mean[column])
-                row = int(np.nanargmax(side * part[:, column]))
-                event = start + (self.after_cycles + row) * events.n + column
+                event = first + int(np.nanargmax(side * part[:, column])) * events.n + column
                 note = f"{100.0 * mean[column]:+.3g} %, mean of {part.shape[0]} cycles"
                 found = Measured(
                     value, float(events.time[event]), event, int(cylinders[column]), note

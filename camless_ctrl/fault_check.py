@@ -33,7 +33,7 @@ SETTLED = 20  # cycles after which the controller is to have adapted to what it 
 WITHIN = 0.02  # charge error of a cylinder's mean that is harmless, 1
 CYLINDER = 2  # of a fault of one valve
 _OF_A_VALVE = ("valve-stuck", "valve-lift", "valve-late")
-_SLOW = {"maf-drift": 4.0}  # s, faults that take longer to matter
+_SLOW = {"maf-drift": 8.0}  # s, faults that take longer to matter
 
 Progress = Callable[[int, int], None]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -15,6 +16,7 @@ from plant._checks import in_range, one_of
 from plant.kinematics import FloatArray
 
 from ._profile_table import read_column
+from ._table_units import UNITS
 
 Between = Literal["linear", "hold"]
 
@@ -130,6 +132,8 @@ class Signal:
         *,
         time: str | None = None,
         between: Between = "linear",
+        unit: str | None = None,
+        axis: str = "s",
     ) -> Self:
         """Return a column of a table file.
 
@@ -144,8 +148,22 @@ class Signal:
             Column of the position; ``timestamps``, ``time_s`` or ``time`` by default.
         between : {"linear", "hold"}
             What comes between the rows.
+        unit : {"mg", "rpm", "deg", "Pa", "K", "1"}, optional
+            Unit of the quantity: what the file has in another one is converted, or refused. Any
+            unit is taken as it is if not given.
+        axis : {"s", "cycles"}
+            Unit of the position.
+
+        Raises
+        ------
+        ParameterError
+            If the file cannot be read, or the column cannot be used; the message names file,
+            row, column and value.
         """
-        table = read_column(Path(path), name, time)
+        if unit is not None:
+            one_of("unit", unit, UNITS)
+        one_of("axis", axis, ("s", "cycles"))
+        table = read_column(Path(path), name, time, unit=unit, axis=axis)
         return cls(table.positions, table.values, between)
 
     @property
@@ -175,7 +193,14 @@ class Signal:
         return {"points": pairs, "between": self.between}
 
     @classmethod
-    def from_dict(cls, data: Any, folder: Path | None = None) -> Self:
+    def from_dict(
+        cls,
+        data: Any,
+        folder: Path | None = None,
+        *,
+        unit: str | None = None,
+        axis: str = "s",
+    ) -> Self:
         """Return the signal of a number or a table of one of its forms.
 
         Parameters
@@ -184,6 +209,8 @@ class Signal:
             A number, or a mapping with the key ``points``, ``ramp``, ``steps`` or ``file``.
         folder : Path, optional
             Where table files lie; without, none may be named.
+        unit, axis : str, optional
+            Unit of quantity and position, which those of a table file must fit: see `column`.
 
         Raises
         ------
@@ -191,8 +218,12 @@ class Signal:
             If it is none of them, or a table file is outside the folder or wrong.
         """
         if not isinstance(data, Mapping):
-            number = in_range("value", data, -_LARGEST, _LARGEST, "1")
-            return cls.constant(number)
+            if isinstance(data, bool) or not isinstance(data, Real):
+                raise ParameterError(
+                    f"the signal is {data!r}, but must be a number, or a table with one of "
+                    f"{', '.join(_FORMS)}, as {{ points = [[0.0, 1.0], [2.0, 3.0]] }}"
+                )
+            return cls.constant(in_range("value", data, -_LARGEST, _LARGEST, "1"))
         forms = [form for form in _FORMS if form in data]
         if len(forms) != 1:
             raise ParameterError(
@@ -205,7 +236,8 @@ class Signal:
         rest = {key: value for key, value in data.items() if key != form}
         given = data[form]
         if form == "file":
-            return cls.column(inside(given, folder), **_with_text(rest, ("column",)))
+            texts = _with_text(rest, ("column",))
+            return cls.column(inside(given, folder), **texts, unit=unit, axis=axis)
         numbers = _listed(form, given)
         if form == "points":
             return cls.points(numbers, **rest)

@@ -11,9 +11,10 @@ from typing import NamedTuple, NoReturn
 
 from plant import ParameterError
 
+from ._table_units import UNITS, Conversion, conversion
+
 TIME_COLUMNS = ("timestamps", "time_s", "time")  # names by which a time column is known
 _SEPARATORS = (";", "\t", ",")
-_SECONDS = ("", "s", "sec", "second", "seconds")
 
 
 class Column(NamedTuple):
@@ -23,14 +24,36 @@ class Column(NamedTuple):
     values: tuple[float, ...]
 
 
-def read_column(path: Path, name: str, time: str | None = None) -> Column:
+def read_column(
+    path: Path,
+    name: str,
+    time: str | None = None,
+    *,
+    unit: str | None = None,
+    axis: str = "s",
+) -> Column:
     """Read a column and its time column.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        The column.
+    time : str, optional
+        Its time column; that of `TIME_COLUMNS` which is there by default.
+    unit : str, optional
+        Unit that the values are wanted in, a key of `UNITS`: a row of units must tell one that
+        can be converted to it. Without, it may tell any, and nothing is converted.
+    axis : {"s", "cycles"}
+        Unit of the time column.
 
     Raises
     ------
     ParameterError
-        If the file cannot be read, a column is missing, a value is no finite number, or times
-        do not rise; the message names file, row, column, value and remedy.
+        If the file cannot be read, a row has more or fewer cells than there are names, a column
+        is missing, a unit does not fit, a value is no finite number, or times do not rise; the
+        message names file, row, column, value and remedy.
     """
     rows = _rows(path)
     names = [cell.strip() for cell in rows[0][1]]
@@ -38,13 +61,13 @@ def read_column(path: Path, name: str, time: str | None = None) -> Column:
     when = _time_column(path, names, time)
     what = _place(path, names, name)
     body = rows[1:]
-    if body and _is_units(body[0][1], when):
-        unit = body[0][1][when].strip().strip("[]")
-        if unit.lower() not in _SECONDS:
-            raise ParameterError(
-                f"{path}, row {body[0][0]}, column {names[when]!r}: the unit is {unit!r}, but "
-                "must be s: convert the times to seconds"
-            )
+    for row, cells in body:
+        _complete(path, row, names, cells)
+    change = Conversion()
+    if body and _is_units(body[0][1]):
+        _converted(path, body[0], names, when, axis)
+        if unit is not None:
+            change = _converted(path, body[0], names, what, unit)
         body = body[1:]
     if not body:
         raise ParameterError(f"{path} has no row of numbers: give at least one below the names")
@@ -59,7 +82,7 @@ def read_column(path: Path, name: str, time: str | None = None) -> Column:
                 "that repeat"
             )
         positions.append(at)
-        values.append(_number(path, row, names, what, cells))
+        values.append(change.factor * _number(path, row, names, what, cells) + change.offset)
     return Column(tuple(positions), tuple(values))
 
 
@@ -68,8 +91,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
+        why = (error.strerror or error) if isinstance(error, OSError) else error
         raise ParameterError(
-            f"{path} cannot be read ({error}): give the name of a CSV file in UTF-8"
+            f"{path} cannot be read ({why}): give the name of a CSV file in UTF-8"
         ) from error
     first = next((line for line in text.splitlines() if line.strip()), "")
     separator = max(_SEPARATORS, key=first.count)
@@ -113,9 +137,45 @@ def _place(path: Path, names: list[str], name: str) -> int:
     return names.index(name)
 
 
-def _is_units(cells: list[str], when: int) -> bool:
-    """Whether a row holds units: no cell is a number, the one of the time neither."""
-    return len(cells) > when and not any(_is_number(cell) for cell in cells)
+def _complete(path: Path, row: int, names: list[str], cells: list[str]) -> None:
+    """Refuse a row that does not have a cell for each name."""
+    found, expected = len(cells), len(names)
+    if found == expected:
+        return
+    if found < expected:
+        why = f"it ends before {names[found]!r}: give every column a value"
+    else:
+        why = (
+            f"{cells[expected]!r} has no name: write decimals with a point, put texts with a "
+            "separator in quotes, or name the column"
+        )
+    raise ParameterError(
+        f"{path}, row {row} has {found} cell{'s' if found > 1 else ''}, but the row of names has "
+        f"{expected}; {why}"
+    )
+
+
+def _is_units(cells: list[str]) -> bool:
+    """Whether a row holds units: texts, but that the unit of a pure number is 1."""
+    given = [cell.strip().strip("[]") for cell in cells]
+    texts = [cell for cell in given if cell != "1"]
+    return any(texts) and not any(_is_number(cell) for cell in texts)
+
+
+def _converted(
+    path: Path, units: tuple[int, list[str]], names: list[str], column: int, wanted: str
+) -> Conversion:
+    """How a column becomes one of the unit that is wanted."""
+    row, cells = units
+    told = cells[column].strip().strip("[]").strip()
+    found = conversion(told, wanted)
+    if found is None:
+        raise ParameterError(
+            f"{path}, row {row}, column {names[column]!r}: the unit is {told!r}, but must be one "
+            f"of {', '.join(UNITS[wanted])}: convert the values, or leave the unit out if they "
+            f"are in {wanted}"
+        )
+    return found
 
 
 def _is_number(cell: str) -> bool:
@@ -127,13 +187,13 @@ def _is_number(cell: str) -> bool:
 
 
 def _number(path: Path, row: int, names: list[str], column: int, cells: list[str]) -> float:
-    if len(cells) <= column:
-        _refuse(path, row, names[column], "", "the row ends before it")
     cell = cells[column].strip()
     try:
         value = float(cell)
     except ValueError:
         comma = "write decimals with a point" if "," in cell else "write a number"
+        if not cell:
+            _refuse(path, row, names[column], cell, "empty: write a number, or leave the row out")
         _refuse(path, row, names[column], cell, f"no number: {comma}")
     if not math.isfinite(value):
         _refuse(path, row, names[column], cell, "not finite: leave the row out, or mend it")

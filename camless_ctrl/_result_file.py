@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,10 @@ _REMEDY = "name a file that to_json(...) or to_netcdf(...) of a result wrote"
 _SUFFIXES = ("_mm", "_deg", "_rpm")  # of fields; a dataset tells the unit apart
 _CRANK = "crank_"
 _CLOCK = "crank_clock"  # time of a trace, which a dataset counts from elsewhere
-_FIELDS = {field.name for field in dataclasses.fields(ClosedLoopResult)}
+_OTHER = ("name", "n_cylinders", "seed", "final_state", "faults", "trace")  # are no signals
+_SIGNALS = tuple(
+    field.name for field in dataclasses.fields(ClosedLoopResult) if field.name not in _OTHER
+)
 _TRACE = tuple(field.name for field in dataclasses.fields(Trace) if field.name != "engine")
 
 
@@ -44,8 +47,7 @@ def origin(result: ScenarioResult) -> dict[str, Any]:
 
 def signals(run: ClosedLoopResult) -> dict[str, np.ndarray]:
     """Return the arrays of a run by their field."""
-    found = {name: getattr(run, name) for name in sorted(_FIELDS)}
-    return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+    return {name: np.asarray(getattr(run, name)) for name in sorted(_SIGNALS)}
 
 
 def trace_signals(run: ClosedLoopResult) -> dict[str, np.ndarray]:
@@ -53,6 +55,21 @@ def trace_signals(run: ClosedLoopResult) -> dict[str, np.ndarray]:
     if run.trace is None:
         return {}
     return {name: np.asarray(getattr(run.trace, name)) for name in _TRACE}
+
+
+def statement(result: ScenarioResult) -> dict[str, Any]:
+    """Return all but signals and provenance as data of JSON: what a file tells of a result."""
+    run = result.run
+    told = {
+        **{key: value for key, value in result.to_dict().items() if key != "provenance"},
+        "run": {
+            "name": run.name,
+            "n_cylinders": run.n_cylinders,
+            "seed": run.seed,
+            "faults": [fault.to_dict() for fault in run.faults],
+        },
+    }
+    return dict(jsonable(told))
 
 
 # -- writing -----------------------------------------------------------------------------------
@@ -118,6 +135,7 @@ def write_netcdf(result: ScenarioResult, path: Path) -> None:
                 "run_faults": _text([fault.to_dict() for fault in run.faults]),
                 "dtypes": _text({k: str(v.dtype) for k, v in signals(run).items()}),
                 "verdicts": _text([verdict.to_dict() for verdict in result.verdicts]),
+                "met": _text(result.met),
             }
         )
         for name in ("name", "seed"):
@@ -128,8 +146,23 @@ def write_netcdf(result: ScenarioResult, path: Path) -> None:
 # -- reading -----------------------------------------------------------------------------------
 
 
-def read(path: Path) -> ScenarioResult:
-    """See `load_result`."""
+class Stored(NamedTuple):
+    """A result that was read.
+
+    Attributes
+    ----------
+    result : ScenarioResult
+        The result; its verdicts are found anew.
+    told : dict
+        What the file tells, in the form of `statement`: the verdicts of then.
+    """
+
+    result: ScenarioResult
+    told: dict[str, Any]
+
+
+def read(path: Path) -> Stored:
+    """Read a result and what its file tells of it, see `load_result`."""
     try:
         start = path.read_bytes()[:3]
     except OSError as error:
@@ -156,66 +189,71 @@ def read(path: Path) -> ScenarioResult:
         ) from error
 
 
-def _from_json(path: Path) -> ScenarioResult:
+def _from_json(path: Path) -> Stored:
     data = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise ParameterError(f"this is no result of a scenario in the format {FORMAT!r}: {_REMEDY}")
-    run = data["run"]
-    arrays = {name: _array(item) for name, item in run["signals"].items()}
-    crank = run["crank"] and {name: _array(item) for name, item in run["crank"].items()}
-    return _result(
-        data["scenario"],
-        data["seed"],
-        data["provenance"],
-        {"name": run["name"], "n_cylinders": run["n_cylinders"], "seed": run["seed"]},
-        run["faults"],
-        arrays,
-        crank,
-    )
+    del data["format"]
+    provenance, run = _part(data, "provenance"), _part(data, "run")
+    given, crank = _part(run, "signals", "run."), _part(run, "crank", "run.")
+    arrays = {name: _array(_part(given, name, "signals.")) for name in given}
+    if crank is not None:
+        crank = {name: _array(item) for name, item in crank.items()}
+    told = {key: value for key, value in data.items() if key != "provenance"}
+    told["run"] = {key: value for key, value in run.items() if key not in ("signals", "crank")}
+    return Stored(_result(told, provenance, arrays, crank), told)
 
 
-def _from_netcdf(path: Path) -> ScenarioResult:
+def _from_netcdf(path: Path) -> Stored:
     import xarray as xr
 
     data: xr.Dataset = xr.load_dataset(path, engine="scipy", decode_times=False)
     attrs = data.attrs
     if attrs.get("format") != FORMAT:
         raise ParameterError(f"this is no result of a scenario in the format {FORMAT!r}: {_REMEDY}")
-    dtypes = json.loads(attrs["dtypes"])
-    arrays = {name: _cast(data[_plain(name)].values, str(dtype)) for name, dtype in dtypes.items()}
+    dtypes = json.loads(_part(attrs, "dtypes"))
+    arrays = {
+        name: _cast(_part(data.variables, _plain(name)).values, str(dtype))
+        for name, dtype in dtypes.items()
+    }
     crank = None
-    if _CLOCK in data.variables:
-        crank = {name: _cast(data[_crank_name(name)].values, "float64") for name in _TRACE}
-    return _result(
-        json.loads(attrs["scenario"]),
-        int(attrs["scenario_seed"]),
-        json.loads(attrs["provenance"]),
-        {
-            "name": attrs["run_name"],
-            "n_cylinders": int(attrs["n_cylinders"]),
-            "seed": int(attrs["run_seed"]),
+    if any(str(name).startswith(_CRANK) for name in data.variables):
+        of_trace = {name: _part(data.variables, _crank_name(name)) for name in _TRACE}
+        crank = {name: _cast(values.values, "float64") for name, values in of_trace.items()}
+    told = {
+        "scenario": json.loads(_part(attrs, "scenario")),
+        "seed": int(_part(attrs, "scenario_seed")),
+        "met": json.loads(_part(attrs, "met")),
+        "verdicts": json.loads(_part(attrs, "verdicts")),
+        "run": {
+            "name": _part(attrs, "run_name"),
+            "n_cylinders": int(_part(attrs, "n_cylinders")),
+            "seed": int(_part(attrs, "run_seed")),
+            "faults": json.loads(_part(attrs, "run_faults")),
         },
-        json.loads(attrs["run_faults"]),
-        arrays,
-        crank,
-    )
+    }
+    return Stored(_result(told, json.loads(_part(attrs, "provenance")), arrays, crank), told)
 
 
 def _result(
-    scenario: Mapping[str, Any],
-    seed: Any,
+    told: Mapping[str, Any],
     provenance: Any,
-    numbers: Mapping[str, Any],
-    faults: Any,
     arrays: Mapping[str, np.ndarray],
     crank: Mapping[str, np.ndarray] | None,
 ) -> ScenarioResult:
-    """Put a result together, after a check that the parts fit each other."""
+    """Put a result together, after a check that all parts are there and fit each other."""
     from .scenario import Scenario
 
-    unknown = sorted(set(arrays) - _FIELDS)
+    for key in ("met", "verdicts"):
+        _part(told, key)
+    seed, numbers = _part(told, "seed"), _part(told, "run")
+    run_of = {key: _part(numbers, key, "run.") for key in ("name", "n_cylinders", "seed")}
+    faults = _part(numbers, "faults", "run.")
+    unknown = sorted(set(arrays) - set(_SIGNALS))
     if unknown:
         raise ParameterError(f"signal {unknown[0]} is not known: {_REMEDY}")
+    for name in _SIGNALS:
+        _part(arrays, name, "signals.")
     size = arrays["time"].shape
     for name, values in arrays.items():
         if values.shape != size or len(size) != 1:
@@ -224,10 +262,13 @@ def _result(
                 f"damaged; {_REMEDY}"
             )
     if not isinstance(provenance, Mapping) or type(seed) is not int:
-        raise ParameterError(f"seed or provenance are missing: the file is damaged; {_REMEDY}")
-    which = Scenario.from_dict(scenario)
+        raise ParameterError(
+            f"seed is {seed!r} and provenance {type(provenance).__name__}, but must be a whole "
+            f"number and an object: the file is damaged; {_REMEDY}"
+        )
+    which = Scenario.from_dict(_part(told, "scenario"))
     trace = None if crank is None else _trace(crank, which.true_engine)
-    given: dict[str, Any] = {**numbers, **arrays}
+    given: dict[str, Any] = {**run_of, **arrays}
     run = ClosedLoopResult(
         **given,
         faults=tuple(Fault.from_dict(fault) for fault in faults),
@@ -237,7 +278,19 @@ def _result(
 
 
 def _trace(crank: Mapping[str, np.ndarray], engine: Engine) -> Trace:
-    return Trace(**{name: crank[name] for name in _TRACE}, engine=engine)
+    return Trace(**{name: _part(crank, name, "crank.") for name in _TRACE}, engine=engine)
+
+
+def _part(data: Mapping[Any, Any], key: str, of: str = "") -> Any:
+    """Value of a key of a file, which must be there."""
+    if not isinstance(data, Mapping):
+        raise ParameterError(
+            f"{of.rstrip('.') or 'content'} is {data!r}, but must be an object: the file is "
+            f"damaged; {_REMEDY}"
+        )
+    if key not in data:
+        raise ParameterError(f"{of}{key} is missing: the file is damaged; {_REMEDY}")
+    return data[key]
 
 
 # -- numbers and text --------------------------------------------------------------------------

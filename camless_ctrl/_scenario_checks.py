@@ -108,7 +108,7 @@ def _check_speeds(scenario: Scenario) -> None:
     """Refuse speeds that the design does not reach."""
     low, high = SPEED_RANGE_RPM
     own = scenario.controller.speed_range_rpm
-    reach, key = f"a design reaches from {low:g} to {high:g} rpm", "speed_rpm"
+    reach = f"a design reaches from {low:g} to {high:g} rpm"
     if own is not None:
         if own[0] < low or own[1] > high:
             raise ScenarioError(
@@ -129,7 +129,7 @@ def _check_speeds(scenario: Scenario) -> None:
             raise ScenarioError(
                 f"speed_rpm is {speed:g} rpm at {time:.4g} s, but {reach}: {remedy}",
                 ("profile",),
-                key,
+                "speed_rpm",
             )
 
 
@@ -163,9 +163,7 @@ def _check_metric(metric: Metric, faults: int, n: int, place: Place) -> None:
             if faults
             else ("has none", "leave the requirement out, or add a fault")
         )
-        raise ScenarioError(
-            f"fault is {number}, but the scenario {has}: {remedy}", place, "fault"
-        )
+        raise ScenarioError(f"fault is {number}, but the scenario {has}: {remedy}", place, "fault")
     without = getattr(metric, "without_cylinders", ())
     for cylinder in without if isinstance(without, tuple) else ():
         _check_cylinder(cylinder, n, place, "without_cylinders")

@@ -89,7 +89,8 @@ def valves_of(table: Table) -> ValveErrors:
         )
     else:
         found = _seconds(table, "duration_offset", offset)
-    jitter = table.number("duration_jitter", 0.0, "s")
+    with table.at("duration_jitter"):
+        jitter = in_range("duration_jitter", table.data.get("duration_jitter", 0.0), 0.0, 0.01, "s")
     return ValveErrors(found, jitter)
 
 
@@ -143,6 +144,13 @@ def _air(base: _Air, table: Table) -> _Air:
 
 
 def _sampling(table: Table) -> TimeSampling | CrankSampling:
+    if "step_deg" in table and "period" in table:
+        raise ScenarioError(
+            "step_deg is given, and period too, but only one of them may be: a sensor samples at "
+            "equal times or at equal crank angles",
+            table.place,
+            "step_deg",
+        )
     kind = CrankSampling if "step_deg" in table else TimeSampling
     if kind is TimeSampling and "period" not in table:
         raise ScenarioError(

@@ -13,6 +13,8 @@ from plant._checks import in_range, one_of, whole
 
 Place = tuple[str | int, ...]
 
+_ENDS = ("end", "until_s")  # keys that may be left out for what has no end
+
 
 class ScenarioError(ParameterError):
     """A scenario's data are wrong.
@@ -21,12 +23,17 @@ class ScenarioError(ParameterError):
     ----------
     place : tuple of str and int
         Way to the key, or to the table: names of keys, and numbers of items from 0.
+    table : tuple of str and int
+        Way to the table.
+    key : str or None
+        The key, if it is one that is wrong.
     problem : str
         What is wrong with it.
     """
 
     def __init__(self, problem: str, table: Place, key: str | None = None) -> None:
         self.place: Place = table if key is None else (*table, key)
+        self.table, self.key = table, key
         self.problem = problem
         label = " ".join(part for part in (_label(table), key) if part)
         super().__init__(f"{label}: {problem}" if label else problem)
@@ -73,17 +80,30 @@ class Table:
             found = _meant(str(error), self.data) if key is None else key
             raise ScenarioError(str(error), self.place, found) from error
 
+    @contextmanager
+    def around(self) -> Iterator[None]:
+        """Put errors whose places count from this table in their place."""
+        try:
+            yield
+        except ScenarioError as error:
+            place = (*self.place, *error.table)
+            raise ScenarioError(error.problem, place, error.key) from error
+
     def needed(self, key: str, what: str) -> Any:
         """Value of a key that must be there."""
         if key not in self.data:
-            raise ScenarioError(f"missing: give {what}", self.place, key)
+            raise ScenarioError(f"{key} is missing: give {what}", self.place, key)
         return self.data[key]
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Text; it must be there if there is no default."""
-        value = self.data.get(key, default)
-        if not isinstance(value, str) or not (value or default == ""):
-            raise ScenarioError(f"value {value!r} must be a text", self.place, key)
+        """Text; it must be there, and not empty, if there is no default."""
+        value = self.needed(key, "a text") if default is None else self.data.get(key, default)
+        if not isinstance(value, str):
+            raise ScenarioError(f"{key} is {value!r}, but must be a text", self.place, key)
+        if default is None and not value.strip():
+            raise ScenarioError(
+                f"{key} is {value!r}, but must be a text that is not empty", self.place, key
+            )
         return value
 
     def whole(self, key: str, default: int, low: int, high: int) -> int:
@@ -129,11 +149,13 @@ def check_finite(data: Any, place: Place = ()) -> None:
     elif isinstance(data, float) and not math.isfinite(data):
         names = [i for i, step in enumerate(place) if isinstance(step, str)]
         if not names:
-            raise ScenarioError(f"value {data} must be a finite number", place)
+            raise ScenarioError(f"{data} is there, but must be a finite number", place)
         last = names[-1]
+        key = str(place[last])
         of = "" if last == len(place) - 1 else f" (item {_items(place[last + 1 :])})"
-        problem = f"value {data}{of} must be a finite number: leave out what has no end"
-        raise ScenarioError(problem, place[:last], str(place[last]))
+        remedy = ": leave it out if there is no end" if data > 0.0 and key in _ENDS else ""
+        problem = f"{key}{of} is {data}, but must be a finite number{remedy}"
+        raise ScenarioError(problem, place[:last], key)
 
 
 def _meant(message: str, data: Mapping[str, Any]) -> str | None:

@@ -192,16 +192,18 @@ class OperatingProfile:
         """
         table = data if isinstance(data, Table) else Table(data, ("profile",))
         table.only("axis", "length", "deactivated", *QUANTITIES)
-        signals: dict[str, Any] = {}
-        for name, (_, _, unit) in QUANTITIES.items():
-            if name in _NEEDED:
-                table.needed(name, f"a number in {unit}, or a signal")
-            if name in table:
-                with table.at(name):
-                    signals[name] = Signal.from_dict(table.data[name], folder)
         with table.at("axis"):
             axis = one_of("axis", table.data.get("axis", "time"), ("time", "cycles"))
         unit = "s" if axis == "time" else "cycles"
+        signals: dict[str, Any] = {}
+        for name, (_, _, of_name) in QUANTITIES.items():
+            if name in _NEEDED:
+                table.needed(name, f"a number in {of_name}, or a signal")
+            if name in table:
+                with table.at(name):
+                    signals[name] = Signal.from_dict(
+                        table.data[name], folder, unit=of_name, axis=unit
+                    )
         length = table.number("length", 0.0, unit)
         with table.at():
             profile = cls(**signals, length=length, axis="time" if axis == "time" else "cycles")

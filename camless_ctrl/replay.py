@@ -1,24 +1,29 @@
-"""Replay of a saved result: the same scenario and seed, compared bit for bit."""
+"""Replay of a saved result: the same scenario and seed, compared bit for bit.
+
+All that a file tells is compared, but for the versions that it was made with: those are told.
+"""
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ._result_file import signals, trace_signals
+from ._result_file import read, signals, statement, trace_signals
 from .provenance import provenance_differences
-from .scenario_result import ScenarioResult, load_result
+from .scenario_result import ScenarioResult
 
 if TYPE_CHECKING:
     from .closed_loop_result import ClosedLoopResult
     from .controller_design import ControllerDesign
 
 _TOLD = 10  # differences that are printed
+_NONE = object()  # stands for a field that is not there
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +37,8 @@ class Replay:
     stored, again : ScenarioResult
         What it holds, and what came of it now.
     differences : tuple of str
-        One for each signal that differs: how often, and where first.
+        One for each signal that differs, how often and where first, and for each field that
+        does: of scenario, seed, faults, number of cylinders, verdicts.
     origins : tuple of str
         Versions, platform or engine that differ.
     """
@@ -45,11 +51,11 @@ class Replay:
 
     @property
     def same(self) -> bool:
-        """Whether every number is the same, bit for bit; NaN is the same as NaN."""
+        """Whether all is the same, numbers bit for bit; NaN is the same as NaN."""
         return not self.differences
 
     def __bool__(self) -> bool:
-        """Whether every number is the same."""
+        """Whether all is the same."""
         return self.same
 
     def __str__(self) -> str:
@@ -57,9 +63,12 @@ class Replay:
         count = len(_all_signals(self.stored.run))
         what = f"{self.path}: {self.stored.scenario.name}, seed {self.stored.seed}"
         if self.same:
-            lines = [f"{what}: all {count} signals are the same, bit for bit"]
+            lines = [f"{what}: all {count} signals and the verdicts are the same, bit for bit"]
         else:
-            lines = [f"{what}: {len(self.differences)} of {count} signals DIFFER"]
+            some = "signal or field DIFFERS"
+            if len(self.differences) > 1:
+                some = "signals or fields DIFFER"
+            lines = [f"{what}: {len(self.differences)} {some}"]
             lines += [f"  {text}" for text in self.differences[:_TOLD]]
             if len(self.differences) > _TOLD:
                 lines.append(f"  and {len(self.differences) - _TOLD} more")
@@ -70,7 +79,7 @@ class Replay:
 
 
 def replay_result(path: str | os.PathLike[str], design: ControllerDesign | None = None) -> Replay:
-    """Run the scenario of a saved result again, and compare all signals.
+    """Run the scenario of a saved result again, and compare all signals and fields.
 
     Parameters
     ----------
@@ -86,7 +95,7 @@ def replay_result(path: str | os.PathLike[str], design: ControllerDesign | None 
     """
     from .scenario_run import run_scenario
 
-    stored = load_result(path)
+    stored, told = read(Path(path))
     again = run_scenario(
         stored.scenario, design, seed=stored.seed, record_deg=_record_deg(stored.run)
     )
@@ -94,7 +103,7 @@ def replay_result(path: str | os.PathLike[str], design: ControllerDesign | None 
         Path(path),
         stored,
         again,
-        signal_differences(stored.run, again.run),
+        signal_differences(stored.run, again.run) + field_differences(told, statement(again)),
         provenance_differences(stored.provenance, again.provenance),
     )
 
@@ -113,6 +122,37 @@ def signal_differences(stored: ClosedLoopResult, now: ClosedLoopResult) -> tuple
             text = _difference(before[name], after[name], stored)
             found += [f"{name}: {text}"] if text else []
     return tuple(found)
+
+
+def field_differences(stored: Any, now: Any, name: str = "") -> tuple[str, ...]:
+    """Return a sentence for each field of two objects of JSON that is not the same.
+
+    Parameters
+    ----------
+    stored, now : object
+        What JSON knows.
+    name : str
+        What they are called.
+    """
+    if isinstance(stored, dict) and isinstance(now, dict):
+        pairs = {key: (stored.get(key, _NONE), now.get(key, _NONE)) for key in (*stored, *now)}
+    elif isinstance(stored, list) and isinstance(now, list):
+        pairs = {
+            f"{i + 1}": pair
+            for i, pair in enumerate(itertools.zip_longest(stored, now, fillvalue=_NONE))
+        }
+    elif stored == now and isinstance(stored, bool) == isinstance(now, bool):
+        return ()
+    else:
+        return (f"{name}: {_said(stored)} stored, {_said(now)} now",)
+    places = {key: f"{name}.{key}" if name else key for key in pairs}
+    return tuple(
+        text for key, pair in pairs.items() for text in field_differences(*pair, places[key])
+    )
+
+
+def _said(value: Any) -> str:
+    return "nothing" if value is _NONE else repr(value)
 
 
 def _difference(stored: np.ndarray, now: np.ndarray, run: ClosedLoopResult) -> str:

@@ -11,6 +11,7 @@ from plant import CrankAnglePlant, Engine, ParameterError
 from plant._checks import in_range, one_of, replace_fields, truth, whole
 from plant.sensors import SensorSet
 
+from ._scenario_checks import check_equal, check_parts
 from ._scenario_data import (
     engine_data,
     engine_of,
@@ -147,7 +148,9 @@ class Scenario:
     Raises
     ------
     ParameterError
-        If two parts contradict each other, such as a fault of a cylinder that does not exist.
+        If two parts contradict each other: a fault, requirement or deactivation of a cylinder
+        that does not exist, a fault that starts after the end, or a requirement on a fault that
+        does not exist.
     """
 
     name: str
@@ -166,19 +169,7 @@ class Scenario:
         if not isinstance(self.name, str) or not self.name.strip():
             raise ParameterError(f"name is {self.name!r}, but must be a text that is not empty")
         whole("seed", self.seed, 0, 2**63 - 1)
-        n = self.engine.n_cylinders
-        _require_equal(self.engine)
-        _require_offsets(self.valves, n)
-        for fault in self.faults:
-            _require_cylinder(fault.cylinder, n)
-        for span in self.profile.deactivated:
-            _require_cylinder(span.cylinder, n)
-        names = [requirement.name for requirement in self.requirements]
-        for name in names:
-            if names.count(name) > 1:
-                raise ParameterError(
-                    f"two requirements are called {name!r}: give each a name of its own"
-                )
+        check_parts(self)
         object.__setattr__(self, "true", plain(self.true))
         true_engine_of(self.engine, Table(self.true, ("true",)))
 
@@ -244,62 +235,32 @@ class Scenario:
         name = table.text("name")
         table.needed("profile", "the table [profile], with demand_mg and speed_rpm")
         engine = engine_of(table.table("engine"))
-        n = engine.n_cylinders
-        with table.table("engine").at():
-            _require_equal(engine)
+        with table.around():
+            check_equal(engine)
         true_engine_of(engine, table.table("true"))
         faults = []
         for item in table.tables("faults"):
             with item.at():
                 faults.append(Fault.from_dict(item.data))
-                _require_cylinder(faults[-1].cylinder, n)
         requirements = []
         for item in table.tables("requirements"):
             with item.at():
                 requirements.append(ClosedLoopRequirement.from_dict(item.data))
         profile = OperatingProfile.from_dict(table.table("profile"), folder)
-        with table.table("profile").at("deactivated"):
-            for span in profile.deactivated:
-                _require_cylinder(span.cylinder, n)
-        valves = valves_of(table.table("valves"))
-        with table.table("valves").at():
-            _require_offsets(valves, n)
-        with table.at():
+        given: dict[str, Any] = {
+            "description": table.text("description", ""),
+            "sensors": sensors_of(table.table("sensors")),
+            "valves": valves_of(table.table("valves")),
+            "controller": ControllerChoice.from_dict(table.table("controller")),
+            "seed": table.whole("seed", 0, 0, 2**63 - 1),
+        }
+        with table.around():  # the parts are right; what is wrong now is how they fit
             return cls(
                 name=name,
-                description=table.text("description", ""),
                 profile=profile,
                 engine=engine,
                 true=table.data.get("true", {}),
-                sensors=sensors_of(table.table("sensors")),
-                valves=valves,
                 faults=tuple(faults),
-                controller=ControllerChoice.from_dict(table.table("controller")),
                 requirements=tuple(requirements),
-                seed=table.whole("seed", 0, 0, 2**63 - 1),
+                **given,
             )
-
-
-def _require_equal(engine: Engine) -> None:
-    """Refuse a nominal engine with unequal cylinders."""
-    if len(set(engine.cylinder_flow_factors)) > 1:
-        raise ParameterError(
-            f"cylinder_flow_factors are {engine.cylinder_flow_factors}, but the nominal engine has "
-            "equal cylinders: give them to the true engine"
-        )
-
-
-def _require_cylinder(cylinder: int | None, n: int) -> None:
-    """Refuse a cylinder that is not there; None is all of them."""
-    if cylinder is not None:
-        whole("cylinder", cylinder, 1, n, remedy=f"the engine has {n} cylinders")
-
-
-def _require_offsets(valves: ValveErrors, n: int) -> None:
-    """Refuse offsets that are not one for each cylinder."""
-    offset = valves.duration_offset
-    if isinstance(offset, tuple) and len(offset) != n:
-        raise ParameterError(
-            f"duration_offset has {len(offset)} values, but the engine has {n} cylinders: give one "
-            "for each, or a number for all"
-        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -9,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from plant.errors import ParameterError
 
@@ -159,8 +162,38 @@ class ScenarioResult:
             "verdicts": [verdict.to_dict() for verdict in self.verdicts],
         }
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What no requirement may have asked for: limited events, and alarms without a fault.
+
+        Limited are events of the profile whose demand is outside what can be commanded; alarms
+        count from the warm-up on, as in the metric `FalseAlarms`.
+        """
+        from ._metric_alarms import FalseAlarms
+        from ._metric_events import Events
+
+        found = []
+        inside = Events.of(self).within(0.0, math.inf)
+        events = np.count_nonzero(inside)
+        limited = np.flatnonzero(inside & self.run.limited)
+        if limited.size:
+            found.append(
+                f"{limited.size} of {events} events ({100.0 * limited.size / events:.3g} %) were "
+                "limited: their demand is out of reach, first at "
+                f"{self.run.time[limited[0]]:.2f} s (event {limited[0]})"
+            )
+        metric = FalseAlarms()
+        alarms = metric.measure(self)
+        if alarms.value > 0.0:
+            found.append(
+                f"{alarms.value:.0f} events with an alarm outside of any fault and the "
+                f"{metric.margin_s:g} s after it, {alarms.note} at {alarms.time:.2f} s (event "
+                f"{alarms.event})"
+            )
+        return tuple(found)
+
     def __str__(self) -> str:
-        """Return what was run and a line for each verdict."""
+        """Return what was run, a line for each verdict, and what else is to be told."""
         missed = sum(not verdict.met for verdict in self.verdicts)
         told = "no requirements"
         if self.verdicts:
@@ -171,6 +204,7 @@ class ScenarioResult:
                 f"{self.scenario.name}: {told} ({events} events, {seconds:.3g} s, seed "
                 f"{self.seed})",
                 *(f"  {verdict}" for verdict in self.verdicts),
+                *(f"  {remark}" for remark in self.remarks),
             ]
         )
 
@@ -226,11 +260,12 @@ def load_result(path: str | os.PathLike[str]) -> ScenarioResult:
     Raises
     ------
     ParameterError
-        If the file cannot be read, or holds no such result.
+        If the file cannot be read, or holds no such result; if a part of it is missing, the
+        message names the part.
     """
     from ._result_file import read
 
-    return read(Path(path))
+    return read(Path(path)).result
 
 
 def _slug(name: str) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from plant import ParameterError
 from plant.trace import Trace
 
+from ._scenario_checks import check_design
 from .baselines import FEEDFORWARD, GRADIENT, INTEGRAL, baseline_controllers
 from .closed_loop import simulate
 from .closed_loop_result import ClosedLoopResult
@@ -40,7 +41,14 @@ def scenario_design(scenario: Scenario, *, progress: Progress | None = None) -> 
         Tells nominal engine, assumed sensors and range of speed.
     progress : callable, optional
         Called with what is being made, the number of parts done and the number in all.
+
+    Raises
+    ------
+    ParameterError
+        If a speed is out of a design's reach, or the estimator refuses a sensor; before anything
+        is made.
     """
+    check_design(scenario)
     return stored_design(
         scenario.engine,
         sensors=scenario.assumed_sensors,
@@ -80,13 +88,12 @@ def run_scenario(
     Raises
     ------
     ParameterError
-        If the design is one of another engine or does not reach the profile's speeds, or a fault
-        starts after the end.
+        If the design is one of another engine or does not reach the profile's speeds, or none
+        can be made.
     """
     n = scenario.engine.n_cylinders
     warm_up = scenario.controller.warm_up_cycles
     events = scenario.profile.events(n, warm_up_cycles=warm_up)
-    _require_faults_within(scenario, events)
     if design is None:
         design = scenario_design(scenario, progress=progress)
     _require_design(scenario, design, events)
@@ -117,16 +124,6 @@ def controller_of(scenario: Scenario, design: ControllerDesign) -> AirChargeCont
     if law == "least-squares":
         return design.controller
     return baseline_controllers(design)[_BASELINES[law]]
-
-
-def _require_faults_within(scenario: Scenario, events: ProfileEvents) -> None:
-    end = float(events.time[-1])
-    for i, fault in enumerate(scenario.faults):
-        if fault.start > end:
-            raise ParameterError(
-                f"fault {i + 1} of scenario {scenario.name!r} starts at {fault.start:g} s, but the "
-                f"last event is at {end:.4g} s: let it start earlier, or lengthen the profile"
-            )
 
 
 def _require_design(scenario: Scenario, design: ControllerDesign, events: ProfileEvents) -> None:

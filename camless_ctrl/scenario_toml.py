@@ -10,6 +10,7 @@ from typing import Any
 
 from plant import ParameterError
 
+from ._scenario_checks import check_design
 from ._scenario_tables import ScenarioError, Table
 from ._toml_lines import key_line
 from .scenario import Scenario
@@ -49,12 +50,8 @@ def load_scenarios(path: str | PathLike[str]) -> tuple[Scenario, ...]:
         If there is none, two have the same name, or a file is wrong: the message begins with
         ``FILE:LINE:``.
     """
-    place = Path(path)
-    files = sorted(place.glob("*.toml")) if place.is_dir() else [place]
-    if not files:
-        raise ParameterError(f"{place} holds no scenario: put files *.toml there")
     found: dict[str, tuple[Path, Scenario]] = {}
-    for file in files:
+    for file in toml_files(Path(path)):
         for scenario in _read(file):
             if scenario.name in found:
                 raise ParameterError(
@@ -65,26 +62,66 @@ def load_scenarios(path: str | PathLike[str]) -> tuple[Scenario, ...]:
     return tuple(scenario for _, scenario in found.values())
 
 
+def toml_files(place: Path) -> list[Path]:
+    """Scenario files of a folder in order of their names, or the file itself.
+
+    Raises
+    ------
+    ParameterError
+        If the folder has none.
+    """
+    files = sorted(place.glob("*.toml")) if place.is_dir() else [place]
+    if not files:
+        raise ParameterError(f"{place} holds no scenario: put files *.toml there")
+    return files
+
+
 def _read(file: Path) -> list[Scenario]:
     """Scenarios of a file."""
+    text, data = read_toml(file)
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError(
-            f"{file} cannot be read ({error}): give the name of a scenario file"
-        ) from error
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ParameterError(f"{file}:{_syntax_line(text, error)}: no TOML: {error}") from error
-    try:
-        return [Scenario.from_dict(table, file.parent) for table in _tables(data)]
+        return [_scenario(table, file.parent) for table in toml_tables(data)]
     except ScenarioError as error:
         raise ParameterError(f"{file}:{key_line(text, error.place)}: {error}") from error
 
 
-def _tables(data: dict[str, Any]) -> list[Table]:
-    """Tables of the scenarios of a file."""
+def read_toml(file: Path) -> tuple[str, dict[str, Any]]:
+    """Text and data of a TOML file.
+
+    Raises
+    ------
+    ParameterError
+        If it cannot be read, or is no TOML.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = (error.strerror or error) if isinstance(error, OSError) else error
+        raise ParameterError(
+            f"{file} cannot be read ({why}): give the name of a scenario file"
+        ) from error
+    try:
+        return text, tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ParameterError(f"{file}:{_syntax_line(text, error)}: no TOML: {error}") from error
+
+
+def _scenario(table: Table, folder: Path) -> Scenario:
+    """Scenario of a table of a file, for which a design can be made."""
+    scenario = Scenario.from_dict(table, folder)
+    with table.around():
+        check_design(scenario)
+    return scenario
+
+
+def toml_tables(data: dict[str, Any]) -> list[Table]:
+    """Tables of the scenarios of a file.
+
+    Raises
+    ------
+    ScenarioError
+        If some keys belong to none of several scenarios.
+    """
     whole = Table(data)
     if _LIST not in whole:
         return [whole]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,13 +12,17 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def reserved_outputs(wanted: Mapping[str, Path | None]) -> Iterator[dict[str, Path]]:
+def reserved_outputs(
+    wanted: Mapping[str, Path | None], inputs: Iterable[Path] = ()
+) -> Iterator[dict[str, Path]]:
     """Reserve a place for each output before the work.
 
     Parameters
     ----------
     wanted : mapping of str to Path
         Files by the option that names them; None where an option is not given.
+    inputs : iterable of Path
+        Files that the work is read from.
 
     Yields
     ------
@@ -29,7 +33,8 @@ def reserved_outputs(wanted: Mapping[str, Path | None]) -> Iterator[dict[str, Pa
     Raises
     ------
     ParameterError
-        If two options name the same file, or a picture of an unknown kind is asked for.
+        If two options name the same file, one names an input, or a picture of an unknown kind
+        is asked for.
     OutputError
         If a file cannot be made where it was asked for.
     """
@@ -38,12 +43,19 @@ def reserved_outputs(wanted: Mapping[str, Path | None]) -> Iterator[dict[str, Pa
     from ..output import require_place, reserved_folder
 
     given = {option: path for option, path in wanted.items() if path is not None}
+    read = {path.resolve() for path in inputs}
     taken: dict[Path, str] = {}
     for option, path in given.items():
-        first = taken.setdefault(path.absolute(), option)
+        place = path.resolve()
+        first = taken.setdefault(place, option)
         if first != option:
             raise ParameterError(
                 f"{first} and {option} both name {path}: give them different files"
+            )
+        if any(_same(place, source) for source in read):
+            raise ParameterError(
+                f"{option} names {path}, which the scenario is read from and would be lost: name "
+                "another file"
             )
         require_place(path)
     if "--plot" in given:
@@ -52,6 +64,11 @@ def reserved_outputs(wanted: Mapping[str, Path | None]) -> Iterator[dict[str, Pa
         folders = sorted({path.absolute().parent for path in given.values()})
         staged = {folder: stack.enter_context(reserved_folder(folder)) for folder in folders}
         yield {option: staged[path.absolute().parent] / path.name for option, path in given.items()}
+
+
+def _same(place: Path, source: Path) -> bool:
+    """Whether two paths are one file, by whatever names."""
+    return place == source or (place.exists() and source.exists() and place.samefile(source))
 
 
 def write_outputs(result: ScenarioResult, places: Mapping[str, Path]) -> None:

@@ -34,7 +34,8 @@ def run_scenarios(
     Raises
     ------
     ParameterError
-        If there is no such scenario, it is wrong, or outputs are asked of several.
+        If there is no such scenario, it is wrong, outputs are asked of several, or an output is
+        a file that the scenario is read from.
     OutputError
         If an output cannot be made where it was asked for.
     """
@@ -49,6 +50,7 @@ def run_scenarios(
                 "keep them: give one of those too"
             )
     scenarios = find_scenarios(name)
+    inputs = _inputs(name)
     asked = [option for option, path in outputs.items() if path is not None]
     if asked and len(scenarios) > 1:
         raise ParameterError(
@@ -56,7 +58,7 @@ def run_scenarios(
             f"{name}{_PART}{scenarios[0].name}"
         )
     console, met = out(quiet), True
-    with reserved_outputs(outputs) as places:
+    with reserved_outputs(outputs, inputs) as places:
         for scenario in scenarios:
             result = _run(scenario, crank_deg, seed, quiet)
             write_outputs(result, places)
@@ -127,6 +129,18 @@ def find_scenarios(name: str) -> tuple[Scenario, ...]:
     return found
 
 
+def _inputs(name: str) -> tuple[Path, ...]:
+    """Files that the scenarios of `find_scenarios` are read from."""
+    from .._scenario_inputs import input_files
+    from ..shipped import FOLDER, shipped_scenarios
+
+    text = name.partition(_PART)[0]
+    path = Path(text)
+    if not path.is_file() and text in shipped_scenarios():
+        return tuple(FOLDER.iterdir())
+    return input_files(path)
+
+
 def _run(
     scenario: Scenario, crank_deg: float | None, seed: int | None, quiet: bool
 ) -> ScenarioResult:
@@ -137,7 +151,7 @@ def _run(
 
 
 def _print(console: Console, result: ScenarioResult) -> None:
-    """Print what was run and its verdicts."""
+    """Print what was run, its verdicts, and what else is to be told."""
     verdicts = result.verdicts
     if verdicts:
         title = f"{result.scenario.name} (seed {result.seed})"
@@ -147,7 +161,8 @@ def _print(console: Console, result: ScenarioResult) -> None:
         told = f"{missed} of {len(verdicts)} NOT MET" if missed else f"all {len(verdicts)} met"
     else:
         told = "states no requirement"
-    console.print(f"{result.scenario.name}: {told}", markup=False)
+    for text in (told, *result.remarks):
+        console.print(f"{result.scenario.name}: {text}", markup=False)
 
 
 def _row(verdict: Verdict) -> tuple[str, ...]:

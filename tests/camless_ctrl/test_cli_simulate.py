@@ -239,6 +239,46 @@ def test_bad_input_is_one_clear_line_and_status_2(tmp_path, capsys, arguments, s
     assert files(tmp_path) == before
 
 
+TABLE = "time,mg\n0,250\n0.9,260\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["s.toml", "--json", "s.toml"], "--json names s.toml"),
+        (["s.toml::steady", "--netcdf", "s.toml"], "--netcdf names s.toml"),
+        (["s.toml", "--json", "deep/../s.toml"], "--json names"),
+        (["s.toml", "--csv", "deep/d.csv"], "--csv names"),
+        (["s.toml", "--csv", "link.csv"], "--csv names link.csv"),
+        (["s.toml", "--csv", "twin.csv"], "--csv names twin.csv"),
+        ([".", "--csv", "deep/d.csv"], "--csv names"),
+        (["s.toml", "--json", "new", "--csv", "deep/../new"], "--json and --csv both name"),
+        (["--replay", "s.toml", "--json", "s.toml"], "--json is given, but --replay"),
+    ],
+)
+@pytest.mark.usefixtures("idle")
+def test_no_output_replaces_a_file_that_is_read(tmp_path, capsys, arguments, named):
+    demand = 'demand_mg = { file = "deep/d.csv", column = "mg" }'
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "s.toml").write_text(scenario().replace("demand_mg = 250.0", demand))
+    (tmp_path / "deep" / "d.csv").write_text(TABLE)
+    (tmp_path / "link.csv").symlink_to("deep/d.csv")
+    (tmp_path / "twin.csv").hardlink_to(tmp_path / "deep" / "d.csv")
+    before = {path: path.read_text() for path in tmp_path.rglob("*.*")}
+    assert main(["simulate", *arguments]) == 2
+    assert named in capsys.readouterr().err
+    assert {path: path.read_text() for path in tmp_path.rglob("*.*")} == before
+
+
+def test_demand_out_of_reach_is_told(tmp_path, capsys):
+    # More than twice what the cylinder takes in at ambient pressure.
+    (tmp_path / "s.toml").write_text(scenario(bound=99.0).replace("250.0", "1000.0"))
+    assert main(["simulate", "s.toml"]) == 0
+    told = capsys.readouterr().out
+    assert "steady: 45 of 45 events (100 %) were limited" in told
+    assert "first at 0.00 s (event 0)" in told
+
+
 # -- all outputs or none ----------------------------------------------------------------------
 
 

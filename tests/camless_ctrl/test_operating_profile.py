@@ -46,6 +46,7 @@ def test_a_signal_is_the_same_after_json(points):
     ("data", "words"),
     [
         ("fast", ["'fast'", "number"]),
+        ([100.0, 200.0], ["[100.0, 200.0]", "number", "points, ramp, steps, file"]),
         (math.nan, ["nan", "1e+09"]),
         ({"points": [[0.0, 1.0]], "ramp": [1.0, 2.0]}, ["points, ramp", "exactly one"]),
         ({"pionts": [[0.0, 1.0]]}, ["pionts", "points"]),
@@ -90,7 +91,19 @@ def test_columns_of_a_measurement_that_was_written_out(tmp_path):
         ("time_s,demand_mg\n0,1\n1,x\n", "demand_mg", ["row 3", "'x'", "no number"]),
         ("time_s;demand_mg\n0;1,5\n", "demand_mg", ["row 2", "'1,5'", "point"]),
         ("time_s,demand_mg\n0,1\n2,1\n1,1\n", "demand_mg", ["row 4", "'time_s'", "above 2"]),
-        ("time_s,demand_mg\n0,1\n1\n", "demand_mg", ["row 3", "ends before"]),
+        (
+            "time_s,demand_mg\n0,1\n1\n",
+            "demand_mg",
+            ["row 3 has 1 cell,", "ends before 'demand_mg'"],
+        ),
+        (
+            "time_s,x,demand_mg\n0,1,2\n1,5,0,3\n",
+            "demand_mg",
+            ["row 3 has 4 cells", "has 3", "'3'"],
+        ),
+        ("time_s,demand_mg,x\n0,1\n", "demand_mg", ["row 2 has 2 cells", "has 3", "before 'x'"]),
+        ("time_s,demand_mg\ns\n0,1\n", "demand_mg", ["row 2 has 1 cell,"]),
+        ("time_s,demand_mg\n0,1\n1,\n", "demand_mg", ["row 3", "'demand_mg'", "empty"]),
         ("time_s,demand_mg\nms,mg\n0,1\n", "demand_mg", ["row 2", "'ms'", "seconds"]),
         ("time_s,demand_mg\n", "demand_mg", ["no row of numbers"]),
         ("time_s,x,x\n0,1,2\n", "x", ["several columns 'x'"]),
@@ -105,9 +118,69 @@ def test_a_table_that_cannot_be_used_says_where(tmp_path, text, column, words):
         assert word in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("quantity", "told", "value", "wanted"),
+    [
+        ("demand_mg", "mg", 250.0, 250.0),
+        ("demand_mg", "[g]", 0.25, 250.0),
+        ("demand_mg", "kg", 2.5e-4, 250.0),
+        ("demand_mg", "", 250.0, 250.0),
+        ("speed_rpm", "1/min", 1500.0, 1500.0),
+        ("throttle_deg", "°", 45.0, 45.0),
+        ("ambient_pressure", "Pa", 1e5, 1e5),
+        ("ambient_pressure", "hPa", 1013.25, 101325.0),
+        ("exhaust_pressure", "mbar", 1013.25, 101325.0),
+        ("ambient_pressure", "kPa", 101.325, 101325.0),
+        ("ambient_pressure", "bar", 1.01325, 101325.0),
+        ("temperature", "K", 290.0, 290.0),
+        ("temperature", "degC", 20.0, 293.15),
+        ("temperature", "°C", -13.15, 260.0),
+        ("flow_factor", "1", 0.9, 0.9),
+        ("flow_factor", "%", 90.0, 0.9),
+    ],
+)
+def test_a_column_is_converted_to_the_unit_of_its_key(tmp_path, quantity, told, value, wanted):
+    (tmp_path / "a.csv").write_text(f"time;x\ns;{told}\n0;{value!r}\n", encoding="utf-8")
+    data = {"demand_mg": 100.0, "speed_rpm": 1500.0, "length": 1.0}
+    data[quantity] = {"file": "a.csv", "column": "x"}
+    (found,) = getattr(OperatingProfile.from_dict(data, tmp_path), quantity).values
+    assert found == pytest.approx(wanted, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "told", "allowed"),
+    [
+        ("demand_mg", "kg/h", "mg, g, kg"),
+        ("speed_rpm", "rad/s", "rpm, 1/min"),
+        ("throttle_deg", "%", "deg"),
+        ("ambient_pressure", "psi", "Pa, hPa, mbar, kPa, bar"),
+        ("ambient_pressure", "mPa", "Pa, hPa, mbar, kPa, bar"),
+        ("temperature", "degF", "K, degC"),
+        ("flow_factor", "kg/s", "1, -, %"),
+    ],
+)
+def test_a_unit_that_does_not_fit_is_refused(tmp_path, quantity, told, allowed):
+    (tmp_path / "a.csv").write_text(f"time,x\ns,{told}\n0,100\n")
+    data = {"demand_mg": 100.0, "speed_rpm": 1500.0, "length": 1.0}
+    data[quantity] = {"file": "a.csv", "column": "x"}
+    with pytest.raises(ParameterError) as error:
+        OperatingProfile.from_dict(data, tmp_path)
+    for word in ("row 2", "'x'", repr(told), allowed, quantity):
+        assert word in str(error.value)
+
+
+def test_a_column_alone_is_taken_as_it_is_unless_its_unit_is_named(tmp_path):
+    (tmp_path / "a.csv").write_text("time,p\ns,bar\n0,1\n")
+    assert Signal.column(tmp_path / "a.csv", "p").values == (1.0,)
+    assert Signal.column(tmp_path / "a.csv", "p", unit="Pa").values == (1e5,)
+    with pytest.raises(ParameterError, match="unit is 'psi', but must be one of mg"):
+        Signal.column(tmp_path / "a.csv", "p", unit="psi")
+
+
 def test_a_table_that_is_not_there(tmp_path):
-    with pytest.raises(ParameterError, match=r"missing\.csv cannot be read"):
+    with pytest.raises(ParameterError, match=r"missing\.csv cannot be read") as error:
         Signal.from_dict({"file": "missing.csv", "column": "x"}, tmp_path)
+    assert str(error.value).count("missing.csv") == 1
 
 
 @pytest.mark.parametrize("name", ["../a.csv", "link.csv", "{absolute}"])

@@ -108,6 +108,19 @@ def test_a_run_without_options_loads_nothing_of_the_package(tmp_path):
     assert "unrecognized arguments: --camless-report" in unknown.stderr
 
 
+def test_what_cannot_be_run_is_an_error_of_collection(project):
+    text = (project / "scenarios" / "good.toml").read_text()
+    (project / "scenarios" / "bad.toml").write_text(text.replace("1500.0", "700.0"))
+    late = text + '[[faults]]\nkind = "maf-nan"\nstart = 3.0\n'
+    (project / "scenarios" / "late.toml").write_text(late)
+    done = run(project, "--camless-scenarios", "scenarios")
+    assert done.returncode == 2
+    assert "2 errors during collection" in done.stdout
+    for place in ("bad.toml:7: [profile] speed_rpm", "late.toml:22: [[faults]] 1 start"):
+        assert place in done.stdout
+    assert not (project / "runs.txt").exists()
+
+
 def test_every_requirement_of_a_file_is_a_test_and_its_scenario_runs_once(project):
     done = run(project, "-v", "--camless-scenarios", "scenarios", "--junitxml", "junit.xml")
     assert done.returncode == 1

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from camless_ctrl.alarms import Alarm
 from camless_ctrl.closed_loop_requirement import ClosedLoopRequirement
 from camless_ctrl.closed_loop_result import ClosedLoopResult
 from camless_ctrl.faults import Fault
@@ -211,6 +212,53 @@ def test_a_damaged_file_is_told_by_its_name(result, tmp_path, change):
         load_result(path)
 
 
+@pytest.mark.parametrize("name", ["mode", "alarms", "throttle_deg", "rate_limited", "adapted"])
+@pytest.mark.parametrize("ending", ["json", "nc"])
+def test_a_signal_that_is_missing_is_not_made_up(result, tmp_path, name, ending):
+    path = tmp_path / f"result.{ending}"
+    if ending == "json":
+        result.to_json(path)
+        damaged(path, lambda data: data["run"]["signals"].pop(name))
+    else:
+        result.to_netcdf(path)
+        data = xr.load_dataset(path, engine="scipy")
+        kept = {k: v for k, v in json.loads(data.attrs["dtypes"]).items() if k != name}
+        data.assign_attrs(dtypes=json.dumps(kept)).to_netcdf(path, engine="scipy")
+    with pytest.raises(ParameterError, match=rf"result\.{ending}: signals\.{name} is missing"):
+        load_result(path)
+
+
+@pytest.mark.parametrize("key", ["scenario", "seed", "provenance", "met", "verdicts", "run"])
+def test_a_part_that_is_missing_is_named(result, tmp_path, key):
+    path = tmp_path / "result.json"
+    result.to_json(path)
+    damaged(path, lambda data: data.pop(key))
+    with pytest.raises(ParameterError, match=rf"result\.json: {key} is missing: .* damaged"):
+        load_result(path)
+
+
+@pytest.mark.parametrize("key", ["name", "n_cylinders", "seed", "faults", "signals", "crank"])
+def test_a_part_of_the_run_that_is_missing_is_named(result, tmp_path, key):
+    path = tmp_path / "result.json"
+    result.to_json(path)
+    damaged(path, lambda data: data["run"].pop(key))
+    with pytest.raises(ParameterError, match=rf"result\.json: run\.{key} is missing"):
+        load_result(path)
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["scenario", "scenario_seed", "provenance", "met", "verdicts", "n_cylinders", "run_faults"],
+)
+def test_an_attribute_that_is_missing_is_named(result, tmp_path, key):
+    result.to_netcdf(tmp_path / "result.nc")
+    data = xr.load_dataset(tmp_path / "result.nc", engine="scipy")
+    del data.attrs[key]
+    data.to_netcdf(tmp_path / "result.nc", engine="scipy")
+    with pytest.raises(ParameterError, match=rf"result\.nc: {key} is missing"):
+        load_result(tmp_path / "result.nc")
+
+
 @pytest.mark.parametrize("content", [b"", b"[1, 2]", b"CDF\x01 and no more", b"\xff\xfe", b"{"])
 def test_a_file_of_something_else(tmp_path, content):
     path = tmp_path / "other"
@@ -268,10 +316,24 @@ def test_the_picture_flags_what_is_not_met_and_shades_faults(result):
 def test_text_has_a_line_for_each_verdict(result):
     lines = str(result).splitlines()
     assert lines[0].startswith("Step, with a fault: 1 of 2 NOT MET (200 events")
-    assert lines[1:] == [f"  {verdict}" for verdict in result.verdicts]
+    assert lines[1:] == [f"  {text}" for text in (*result.verdicts, *result.remarks)]
     assert not result.met
     assert "\n" not in repr(result)
     assert len(repr(result)) < 60
+
+
+def test_limited_events_and_alarms_without_a_fault_are_told(result):
+    # An event each 20 ms, the profile starts with event 40, its first fault at 1 s: event 90.
+    limited, alarms = np.zeros(EVENTS, dtype=bool), np.zeros(EVENTS, dtype=int)
+    calm = dataclasses.replace(result.run, limited=limited, alarms=alarms)
+    assert dataclasses.replace(result, run=calm).remarks == ()
+    limited[[10, 50, 60]] = True
+    alarms[[3, 45]], alarms[100] = int(Alarm.MAP), int(Alarm.MAF)
+    first, second = dataclasses.replace(result, run=calm).remarks
+    assert first.startswith("2 of 160 events (1.25 %) were limited")
+    assert first.endswith("first at 0.20 s (event 50)")
+    assert second.startswith("2 events with an alarm outside of any fault")
+    assert second.endswith("first: map at -0.74 s (event 3)")
 
 
 def test_losses_are_compared_with_those_of_each_true_cylinder_in_its_air(scenario):

@@ -123,10 +123,48 @@ def test_a_file_is_the_scenario_that_it_tells(written):
         ('alarm = "maf"', "", 49, ["[[requirements]] 1", "alarm"]),
         ('alarm = "maf"', 'alarm = "maff"', 52, ["[[requirements]] 1 alarm", "'maf'"]),
         ('alarm = "maf"', 'alarm = "maf"\nafter = 3', 53, ["[[requirements]] 1 after"]),
-        ("cylinder = 2", "cylinder = 5", 15, ["deactivated", "5", "4 cylinders"]),
+        ("cylinder = 2", "cylinder = 5", 16, ["deactivated", "5", "4 cylinders"]),
         ("cylinder = 1", "cylinder = 5", 47, ["[[faults]] 2 cylinder", "4 cylinders"]),
         ("[0.0, 2e-4, 0.0, 0.0]", "[0.0, 2e-4]", 33, ["duration_offset has 2 values"]),
         ("[valves]", "[valve]", 32, ["valve", "'valves'"]),
+        ('name = "first"', "", 1, ["name is missing", "a text"]),
+        ('name = "first"', "name = 3", 1, ["name is 3", "a text"]),
+        (
+            "speed_rpm = 1500.0",
+            "speed_rpm = [1500.0]",
+            13,
+            ["[1500.0]", "points, ramp, steps, file"],
+        ),
+        ("speed_rpm = 1500.0", "speed_rpm = 700.0", 13, ["speed_rpm is 700", "750 to 6000 rpm"]),
+        ("speed_rpm = 1500.0", "speed_rpm = 6001.0", 13, ["speed_rpm is 6001", "750 to 6000 rpm"]),
+        ("warm_up_cycles = 10", "speed_range_rpm = [1600, 1700]", 13, ["1500", "1600 to 1700 rpm"]),
+        ("warm_up_cycles = 10", "speed_range_rpm = [700, 1700]", 37, ["speed_range_rpm", "750"]),
+        ("step_deg = 6.0", "step_deg = 6.0, period = 1e-3", 30, ["step_deg", "only one of them"]),
+        ("time_constant = 0.02", "bits = 0", 28, ["[sensors.maf] noise", "bits", "knows_sensors"]),
+        ("step_deg = 6.0 }", "step_deg = 6.0 }\nnoise = 0.0\nbits = 0", 31, ["noise is 0"]),
+        ("2e-4, 0.0, 0.0]", "2e-4, 0.0, 0.0]\nduration_jitter = 1", 34, ["duration_jitter is 1 s"]),
+        (
+            "start = 2.0",
+            "start = 6.5",
+            41,
+            ["[[faults]] 1 start", "6.5 s", "last event is at 5.98 s"],
+        ),
+        ("start = 3.0", "start = 5.99", 45, ["[[faults]] 2 start", "5.99 s", "5.98 s"]),
+        ('alarm = "maf"', 'alarm = "maf"\nfault = 3', 53, ["1 fault", "fault is 3", "has 2"]),
+        ("bound = 40", "bound = nan", 53, ["bound is nan", "finite number"]),
+        ("size = 0.5", "end = inf", 46, ["end is inf", "leave it out"]),
+        (
+            'kind = "alarm-time"\nalarm = "maf"',
+            'kind = "worst-error"\nwithout_cylinders = [1, 5]',
+            52,
+            ["without_cylinders is 5", "4 cylinders"],
+        ),
+        (
+            'kind = "alarm-time"\nalarm = "maf"',
+            'kind = "worst-error"\nwindow = "after"\nfault = 4',
+            53,
+            ["fault is 4", "from 1 to 2"],
+        ),
         ("seed = 4", "seed = = 4", 5, ["no TOML"]),
         ("seed = 4", "seed = 4\nseed = 5", 6, ["no TOML"]),
     ],
@@ -139,6 +177,37 @@ def test_errors_name_file_line_table_and_key(written, old, new, line, words):
     assert f"a.toml:{line}: " in text
     for word in words:
         assert word in text
+
+
+def test_a_requirement_on_the_first_fault_needs_one(written):
+    start, end = TEXT.index("[[faults]]"), TEXT.index("[[requirements]]")
+    with pytest.raises(
+        ParameterError, match=r"\.toml:39: \[\[requirements\]\] 1 fault: .*has none"
+    ):
+        load_scenario(written(TEXT[:start] + TEXT[end:]))
+
+
+def test_only_what_the_run_meets_must_be_in_reach(written):
+    # The ramp passes 6000 rpm after the end, the fault starts with the last event, at 5.98 s.
+    beyond = "speed_rpm = { ramp = [1500.0, 9000.0], start = 6.0, end = 7.0 }"
+    text = TEXT.replace("speed_rpm = 1500.0", beyond).replace("start = 3.0", "start = 5.98")
+    assert load_scenario(written(text)).profile.length == 6.0
+    later = text.replace("length = 6.0", "length = 7.0")
+    with pytest.raises(ParameterError, match=r"a\.toml:13: \[profile\] speed_rpm: .* at 6\.\d+ s"):
+        load_scenario(written(later))
+
+
+@pytest.mark.parametrize("switch", ["knows_sensors = false", None])
+def test_sensors_without_noise_are_refused_where_the_estimator_is_made_for_them(written, switch):
+    text = TEXT.replace("time_constant = 0.02", "bits = 0")
+    if switch is None:
+        with pytest.raises(
+            ParameterError, match=r"a\.toml:28: \[sensors\.maf\] noise: .*no solution"
+        ):
+            load_scenario(written(text))
+    else:
+        text = text.replace("warm_up_cycles = 10", switch)
+        assert load_scenario(written(text)).sensors.maf.bits is None
 
 
 SEVERAL = """\
@@ -178,6 +247,8 @@ def test_a_file_may_hold_several(written):
         ("length = 1.0", "length = -1.0", 3, ["[scenario.profile] length", "-1"]),
         ("length = 2.0", "length = -2.0", 11, ["[scenario.profile] length", "-2"]),
         ('"two"', '""', 6, ["name"]),
+        ('"map-nan"\nstart = 0.5', '"map-nan"\nstart = 2.5', 19, ["[[scenario.faults]] 2 start"]),
+        ("speed_rpm = 1500.0\n", "speed_rpm = 500.0\n", 10, ["[scenario.profile] speed_rpm"]),
     ],
 )
 def test_errors_in_one_of_several_name_its_lines(written, old, new, line, words):
@@ -231,8 +302,33 @@ def test_tables_lie_beside_the_file(written, tmp_path):
     found = load_scenario(written(text))
     assert found.profile.length == 2.0
     shutil.rmtree(tmp_path / "deep")
-    with pytest.raises(ParameterError, match=r"a\.toml:4: \[profile\] demand_mg: .*d\.csv"):
+    with pytest.raises(
+        ParameterError, match=r"a\.toml:4: \[profile\] demand_mg: .*d\.csv"
+    ) as error:
         load_scenario(written(text))
+    assert str(error.value).count("d.csv") == 1
+
+
+@pytest.mark.parametrize(
+    ("axis", "units", "words"),
+    [
+        ("time", "s,kW", ["a.toml:4: [profile] demand_mg", "d.csv, row 2, column 'load'", "'kW'"]),
+        ("cycles", "s,mg", ["column 'time'", "'s'", "cycles"]),
+    ],
+)
+def test_units_of_a_table_must_fit_the_key_and_the_axis(written, tmp_path, axis, units, words):
+    text = (
+        f'name = "a"\n[profile]\naxis = "{axis}"\n'
+        'demand_mg = { file = "d.csv", column = "load" }\nspeed_rpm = 1500.0\n'
+    )
+    (tmp_path / "d.csv").write_text(f"time,load\n{units}\n0,100\n2,200\n")
+    with pytest.raises(ParameterError) as error:
+        load_scenario(written(text))
+    for word in words:
+        assert word in str(error.value)
+    good = {"time": "s,g", "cycles": "cycles,g"}[axis]
+    (tmp_path / "d.csv").write_text(f"time,load\n{good}\n0,0.1\n2,0.2\n")
+    assert load_scenario(written(text)).profile.demand_mg.values == pytest.approx((100.0, 200.0))
 
 
 def _keys(data, place=()):

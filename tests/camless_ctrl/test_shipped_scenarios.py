@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from camless_ctrl._table_units import UNITS
 from camless_ctrl.controller_cases import loss_points, performance_cases
 from camless_ctrl.fault_kinds import FAULT_KINDS
 from camless_ctrl.loss_reference import LossReference
@@ -174,6 +175,13 @@ def test_the_documentation_names_scenarios_faults_and_metrics_once():
         assert cells[name] == 1, name
 
 
+def test_the_documentation_names_the_units_that_are_taken():
+    text = DOCS.read_text()
+    rows = re.findall(r"^\| (?:position, )?(\S+) \| ((?:`[^`]+`(?:, )?)+) \|$", text, re.MULTILINE)
+    told = {unit: tuple(re.findall(r"`([^`]+)`", cell)) for unit, cell in rows}
+    assert told == {unit: tuple(known) for unit, known in UNITS.items()}
+
+
 def test_the_example_of_the_documentation_is_a_scenario(tmp_path):
     (example,) = re.findall(r"```toml\n(.*?)```", DOCS.read_text(), re.DOTALL)
     (tmp_path / "example.toml").write_text(example)
@@ -202,6 +210,18 @@ def test_deactivated_cylinders_stay_shut_and_return(narrow_design):
     assert np.nanmax(np.abs(error)) < 0.05
     others = ~np.isin(run.cylinder, (2, 3)) & (run.time > 3.0) & (run.time < 5.0 - 1e-9)
     assert abs(np.nanmean(run.charge[others]) / 340e-6 - 1.0) < 0.01
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    "name",
+    ["fault-map-offset", "fault-duration-missing", "fault-maf-dropout", "demand-step-no-jitter"],
+)
+def test_what_a_scenario_shows_does_not_hang_on_its_seed(narrow_design, name, seed):
+    scenario = shipped_scenario(name)
+    assert seed != scenario.seed
+    result = run_scenario(scenario, narrow_design, seed=seed)
+    assert result.met, str(result)
 
 
 def test_a_missing_sensor_is_told_while_it_is_missing(narrow_design):

@@ -234,7 +234,8 @@ def test_strange_innovations_alone_are_learnt_from_in_the_end(alarms, learns):
     [
         ("safe_share", 0.0), ("safe_share", 1.5), ("reach_events", 0), ("trust_time", 0.0),
         ("kept", 0), ("kept", 1.5), ("speed_tolerance", -0.1), ("speed_events", 0),
-        ("highest_acceleration_rpm_s", float("nan")), ("lost_events", 0), ("innovation_patience", 0.0),
+        ("highest_acceleration_rpm_s", float("nan")), ("lost_events", 0),
+        ("innovation_patience", 0.0),
     ],
 )  # fmt: skip
 def test_impossible_numbers_are_refused(name, value):

@@ -35,11 +35,10 @@ from plant.kinematics import FloatArray
 from plant.sampling import TimeSampling
 from plant.sensors import AirSensor, SensorSet
 
+from . import _monitor_layout as k
 from ._pickling import by_fields
-from .alarms import Alarm
 from .event_data import EventRecord, Measurement
 
-_VALVE = int(Alarm.VALVE)
 _LEAST_GAP = 5e-3  # s
 _NO_SHARES = np.zeros(0)
 _UNITS = {
@@ -67,7 +66,7 @@ class MonitorState(NamedTuple):
     @property
     def ambient_pressure(self) -> float:
         """Pressure before the throttle that is believed, Pa; NaN before it is known."""
-        return float(self.values[_kernel().AMBIENT])
+        return float(self.values[k.AMBIENT])
 
 
 class EventFacts(NamedTuple):
@@ -203,7 +202,7 @@ class FaultMonitor:
 
     def start(self) -> MonitorState:
         """Return the state before the first event."""
-        k, n = _kernel(), self.n_cylinders
+        n = self.n_cylinders
         values = np.zeros(k.HEAD + k.ROWS * n)
         for name in (k.LEVEL, k.AMBIENT, k.FLOW_BIAS, k.MAF_LAST, k.MAP_LAST):
             values[name] = math.nan
@@ -221,15 +220,15 @@ class FaultMonitor:
         facts : EventFacts
             What is known of the event.
         """
-        k, n, numbers = _kernel(), self.n_cylinders, self._numbers
+        kernel, n, numbers = _kernel(), self.n_cylinders, self._numbers
         values = state.values.copy()
         told, late = -1, math.nan
         for cylinder, error in facts.duration_errors:
             if told >= 0:
-                k.told(values, n, told, late, numbers)
+                kernel.told(values, n, told, late, numbers)
             told, late = cylinder - 1, error
         last, measurement = facts.last, facts.measurement
-        k.judge(
+        kernel.judge(
             values,
             numbers,
             n,
@@ -249,7 +248,7 @@ class FaultMonitor:
         )
         alarms = int(values[k.ALARMS])
         suspects: tuple[int, ...] = ()
-        if alarms & _VALVE:
+        if alarms & k.VALVE:
             bad = values[k.HEAD + k.BAD * n : k.HEAD + (k.BAD + 1) * n]
             suspects = tuple(int(i) + 1 for i in np.flatnonzero(bad >= k.TWICE))
         calm, unnamed = values[k.CALM] > 0.0, float(values[k.ALONE])

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from camless_ctrl import _monitor_kernel as kernel
+from camless_ctrl import _monitor_layout as layout
 from camless_ctrl.alarms import Alarm
 from camless_ctrl.cylinder_parameters import CylinderParameters
 from camless_ctrl.event_data import EVENTS, PARTS, EventRecord, Measurement, ModelPoint
@@ -124,7 +124,7 @@ def all_alarms(states):
 
 
 def row(state, which, n=4):
-    return state.values[kernel.HEAD + which * n : kernel.HEAD + (which + 1) * n]
+    return state.values[layout.HEAD + which * n : layout.HEAD + (which + 1) * n]
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
@@ -312,7 +312,7 @@ def test_the_mean_flow_is_free_of_the_lag(factor, tau):
         maf = np.interp(at, times, reading)
         last = record(k - 1, 4, charges[k - 1], own)
         state = monitor.judge(state, facts(k, maf=maf, last=last))
-        ratios.append(row(state, kernel.FLOW)[(k - 1) % 4])
+        ratios.append(row(state, layout.FLOW)[(k - 1) % 4])
         plain.append(math.log(maf.mean() * T / charges[k - 1]))
     expected = math.log(factor)
     np.testing.assert_allclose(ratios[1:], expected, atol=2e-3)
@@ -331,7 +331,7 @@ def test_what_flows_in_after_the_next_ivo_counts_there():
         state = monitor.judge(state, facts(k, maf=np.full(50, true[k - 1] / T), last=last))
         if k > 1:
             lag = monitor.maf_time * (true[k - 1] - true[k - 2]) / T
-            seen = row(state, kernel.FLOW)[(k - 1) % 4]
+            seen = row(state, layout.FLOW)[(k - 1) % 4]
             assert seen == pytest.approx(math.log((true[k - 1] + lag) / true[k - 1]), abs=1e-9)
 
 
@@ -375,13 +375,13 @@ def test_a_learnt_level_that_runs_away_is_the_air_flow_sensors():
 def test_the_sum_of_strange_innovations_by_hand():
     """The lower median of four: 3 from the third event, then 3 - 1.8 is added each time."""
     states = drive(monitor_of(), START + 20, from_start(innovation=3.0))
-    sums = [s.values[kernel.SCORE] for s in states[START:]]
+    sums = [s.values[layout.SCORE] for s in states[START:]]
     np.testing.assert_allclose(sums[:9], [0.0, 0.0, 1.2, 2.4, 3.6, 4.8, 6.0, 7.2, 8.4])
     assert first(states, Alarm.INNOVATION) == 8
     # It is no more than twice the limit, and ends under a quarter of it: from the second good
     # one on it falls by 0.8 an event: 16, 15.2, ... 2.4, 1.6
     calm = drive(monitor_of(), 40, state=states[-1], first=START + 20)
-    assert states[-1].values[kernel.SCORE] == 16.0
+    assert states[-1].values[layout.SCORE] == 16.0
     stands = [bool(s.alarms & Alarm.INNOVATION) for s in calm]
     assert stands == [True] * 18 + [False] * 22
     assert all_alarms(states + calm) == Alarm.INNOVATION
@@ -393,7 +393,7 @@ def test_innovations_that_are_allowed_add_up_to_nothing():
 
 def test_one_innovation_counts_to_a_gate():
     wild = drive(monitor_of(), START + 3, from_start(innovation=1e300))
-    assert wild[-1].values[kernel.SCORE] == pytest.approx(10.0 - 1.8)
+    assert wild[-1].values[layout.SCORE] == pytest.approx(10.0 - 1.8)
 
 
 def test_refused_windows_count_most():
@@ -473,7 +473,7 @@ def test_valves_that_scatter_are_not_the_sensors_fault():
 
     states = drive(monitor_of(), 400, told(odd))
     assert not all_alarms(states) & Alarm.DURATION
-    spread = states[139].values[kernel.SPREAD]
+    spread = states[139].values[layout.SPREAD]
     assert math.sqrt(spread) > 0.25e-3
 
 
@@ -484,7 +484,7 @@ def test_a_wild_duration_is_soon_forgotten():
         state = drive(monitor_of(), 1, lambda k, w=wild: {"errors": ((3, w),)}, before[-1], 10)[-1]
         after = drive(monitor_of(), START + 40, told(0.4e-3), state, first=11)
         assert all_alarms(after) == Alarm.DURATION
-        assert np.isfinite(after[-1].values[kernel.SPREAD])
+        assert np.isfinite(after[-1].values[layout.SPREAD])
 
 
 def test_a_sensor_that_tells_no_duration_is_found():

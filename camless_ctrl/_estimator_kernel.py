@@ -1,12 +1,10 @@
 """Compiled entries of the Kalman charge estimator: keep samples, weigh a window, invert.
 
-Their machine code is kept on disk by Numba, which notices a change of this file alone; so each
-entry carries a stamp of all the files that are compiled into it.
+Their machine code is kept on disk; see `_kernel_stamp` for the stamp that each carries.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -50,6 +48,7 @@ from ._estimator_algebra import (
     predict,
     sound,
 )  # fmt: skip
+from ._kernel_stamp import stamp_of
 from .event_data import PARTS
 
 LEAST_SHARE = 0.5  # of the MAF samples that a window should have; with fewer it has no estimate
@@ -65,14 +64,13 @@ _FASTMATH = {"contract", "arcp", "nsz"}  # as in the plant's kernel
 
 
 def _stamp() -> int:
-    """Number of the present contents of all that is compiled into the entries."""
+    """Stamp of all that is compiled into the entries."""
     own, other = Path(__file__).parent, Path(plant.__file__).parent
     files = (
         own / "_air_path_kernel.py", own / "_estimator_algebra.py", own / "_estimator_kernel.py",
         own / "event_data.py", other / "_implicit.py", other / "_compile.py",
     )  # fmt: skip
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files))
-    return int.from_bytes(digest.digest()[:7], "big")
+    return stamp_of(files)
 
 
 @inlined

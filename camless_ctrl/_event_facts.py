@@ -71,11 +71,11 @@ def charge_evidence(
         return None
     slope = point.duration_slope
     error = measured - point.duration_deg / (6.0 * speed)
-    log_ratio, random, w = math.log(ratio), jitter * jitter, 0.0
+    log_ratio, random, read, w = math.log(ratio), jitter * jitter, noise * noise, 0.0
     if not abs(error) <= most_error:
         error = math.nan  # not measured, or by a sensor that has failed
-    elif random + noise > 0.0:
-        w = random / (random + noise * noise)
+    elif random + read > 0.0:
+        w = random / (random + read)
         log_ratio -= slope * w * (error - used.duration_offset)
     return ChargeEvidence(
         cylinder,

@@ -1,12 +1,10 @@
 """Compiled entries of the plausibility monitors. Imported when a monitor is first used.
 
-Their machine code is kept on disk by Numba, which notices a change of this file alone; so each
-entry carries a stamp of all the files that are compiled into it.
+Their machine code is kept on disk; see `_kernel_stamp` for the stamp that each carries.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from plant.kinematics import FloatArray
 
 from . import _monitor_layout as k
 from . import _monitor_rules as rules
+from ._kernel_stamp import stamp_of
 
 _V = "Array(f8, 1, 'C', readonly=True)"
 _A = "Array(f8, 1, 'A', readonly=True)"
@@ -26,11 +25,9 @@ _JUDGE = f"void(f8[::1], {_V}, i8, i8, f8, i8, f8, {_A}, {_A}, i8, f8, f8, b1, f
 
 
 def _stamp() -> int:
-    """Number, not 0, of the present contents of all that is compiled into the entries."""
+    """Stamp of all that is compiled into the entries."""
     names = ("_monitor_kernel", "_monitor_rules", "_monitor_layout", "alarms", "event_data")
-    files = (Path(__file__).parent / f"{name}.py" for name in names)
-    digest = hashlib.sha256(b"".join(file.read_bytes() for file in files))
-    return 1 + int.from_bytes(digest.digest()[:7], "big")
+    return stamp_of(Path(__file__).parent / f"{name}.py" for name in names)
 
 
 def _told(stamp: int) -> Any:

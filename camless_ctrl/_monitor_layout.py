@@ -40,10 +40,10 @@ from .alarms import Alarm
 RATIO, FLOW, ERROR, PRESSURE, DROP, LEVELS, ODD, SILENT, BAD, GOOD, ROUGH = range(11)  # rows
 ROWS = 11
 
-# Numbers of a monitor, in the order of its fields
+# Numbers of a `FaultMonitor`, in the order of its fields
 (
-    MAF_TIME,
     AREA,
+    MAF_TIME,
     RATIO_LIMIT,
     FIRST_RATIO,
     FLOW_LIMIT,

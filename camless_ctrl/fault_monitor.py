@@ -165,8 +165,8 @@ class FaultMonitor:
         names = [f.name for f in fields(self) if f.init]
         for name in names:
             positive(name, getattr(self, name), _UNITS.get(name, "1"))
-        numbers = np.array([getattr(self, name) for name in names[2:]], dtype=float)
-        numbers = np.concatenate(([self.maf_time, self.throttle_area], numbers[1:]))
+        # All but the number of cylinders, in the order of `_monitor_layout`
+        numbers = np.array([getattr(self, name) for name in names[1:]], dtype=float)
         numbers.setflags(write=False)
         object.__setattr__(self, "_numbers", numbers)
 

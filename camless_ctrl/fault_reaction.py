@@ -29,11 +29,9 @@ from .fault_monitor import EventFacts, FaultMonitor, MonitorState
 
 # Plain numbers: what is done with an `IntFlag` takes ten times as long.
 NOTHING_LEARNT = int(Alarm.MAF | Alarm.MAP | Alarm.DURATION | Alarm.INNOVATION)
-_VALVE = int(Alarm.VALVE)
 PRESSURE = int(Alarm.MAP)
-_SPEED = int(Alarm.SPEED)
 _SOURCES = (int(Alarm.MAF), PRESSURE, int(Alarm.DURATION))
-_INNOVATION = int(Alarm.INNOVATION)
+_VALVE, _SPEED, _INNOVATION = int(Alarm.VALVE), int(Alarm.SPEED), int(Alarm.INNOVATION)
 _LOST = int(Alarm.MAF | Alarm.INNOVATION)  # the estimator may have followed a wrong sensor
 
 
@@ -89,8 +87,8 @@ class FaultReaction:
         Events in a row with a wrong speed, after which it counts as a source that is not believed.
     lost_events : int
         Events with strange innovations beside a MAF alarm, after which the estimator begins anew:
-        it has followed that sensor, and is in its way back. Again after twice, four times ... as
-        many.
+        it has followed that sensor, and stands in its way back. Again after twice, four times
+        and so on as many.
     innovation_patience : float
         Time after which strange innovations for which no sensor is to blame are learnt from, s:
         it is the model that is wrong.
@@ -151,9 +149,8 @@ class FaultReaction:
         stops = alarms & NOTHING_LEARNT and not before & NOTHING_LEARNT
         if stops or (alarms & _VALVE and not before & (_VALVE | NOTHING_LEARNT)):
             adaptation = trusted[0].adaptation  # the fault may have been learnt
-        elif (
-            monitor.calm and abs(time - trusted[-1].time) >= self.trust_time
-        ):  # or a clock set back
+        elif monitor.calm and abs(time - trusted[-1].time) >= self.trust_time:
+            # A clock that was set back counts as well.
             trusted = (*trusted, Trusted(time, adaptation))[-self.kept :]
         mode, reach, wrong, lost, anew = Mode.NORMAL, watch.reach, 0, 0, False
         if alarms:

@@ -358,13 +358,16 @@ def _design(
             if in_vain == _IN_VAIN:
                 break
     if best is None or math.isinf(best[0]):
-        table = "; ".join(f"share {s:g}, scale {c:.2f}: mu {mu:.2f}" for s, c, mu, _ in tried)
+        table = "; ".join(
+            f"share {s:g}, scale {c:.2f}: "
+            + ("no stable loop" if math.isinf(mu) else f"mu {mu:.2f}")
+            for s, c, mu, _ in tried
+        )
         raise SynthesisError(
             f"no {method} law at {measurement.speed_rpm:g} rpm keeps mu below {mu_limit:g} and "
             f"settles within {_CYCLES} cycles ({table}"
             + (f"; failed: {'; '.join(refused)}" if refused else "")
-            + "; an infinite mu is a law or a loop that is not stable): try other shares or slower "
-            "paces, or hold the imbalance"
+            + "): try other shares or slower paces, or hold the imbalance"
         )
     total, law, asked, share, norm = best
     reduction = _reduced(law, judge, mu_limit, _SLOWER * total)
